@@ -11,9 +11,10 @@ from shapely.geometry import box
 
 from subiaco_bringup.cli.main import run
 from subiaco_change.outputs.directory import read_change_directory
-from subiaco_change.outputs.parcels import CHANGED, OUTSIDE
+from subiaco_change.outputs.parcels import OUTSIDE
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import CHANGED
 
 CRS = "EPSG:7850"
 ORIGIN = np.array([391_000.0, 6_464_000.0, 20.0])

@@ -21,13 +21,13 @@ from shapely.geometry import box
 
 from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
 from subiaco_change.outputs.reviews import read_review_file
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED_LABELS, Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.findings import Finding
 from subiaco_report import evidence_pictures as evidence
 from subiaco_report import page as report_page
 from subiaco_report import pictures
-from subiaco_report.facts import CHANGED_LABELS, number, summary
+from subiaco_report.facts import number, summary
 from subiaco_report.page import TABLE_COLUMNS, build_report, fullest_blocks
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}

@@ -19,8 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from subiaco_change.outputs.clouds import read_labelled
+from subiaco_geo.codes import CHANGED_LABELS
 from subiaco_report import pages
-from subiaco_report.facts import CHANGED_LABELS
 from subiaco_report.viewer import build, octree
 from subiaco_report.viewer.build import build_viewer, update_viewer, viewer_link
 from subiaco_report.viewer.octree import GRID, NodeKey, RootCube, nodes_of

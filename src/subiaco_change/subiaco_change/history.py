@@ -22,7 +22,7 @@ from subiaco_change.outputs.table import write_csv
 from subiaco_change.request import ChangeRequest
 from subiaco_change.segmentation.clustering import connect
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import CHANGED_LABELS, Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
 
@@ -42,7 +42,6 @@ COLUMNS = (
 )
 #: What a pair says of an object that it claims to be absent in the epoch of an end.
 _ABSENT = {"id_before": Change.ADDED, "id_after": Change.REMOVED}
-_CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 @dataclass(frozen=True)
@@ -235,7 +234,7 @@ def _history(steps: Sequence[HistoryStep], starts: Ints, members: Ints) -> tuple
             else:
                 seen.add(epoch)
         uids.append(row["object_uid"])
-        if row["label"] in [c.label for c in _CHANGED]:
+        if row["label"] in CHANGED_LABELS:
             changes.append(f"{step.before} to {step.after}: {row['label']}")
             confidences.append(float(row["confidence"]))
     first, last = min(seen, default=0), max(seen, default=0)

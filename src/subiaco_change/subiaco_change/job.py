@@ -41,7 +41,7 @@ from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
 from subiaco_change.request import ChangeRequest, ComparisonRequest
 from subiaco_change.tiling.run import STAGES, ChangeRun
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED
 from subiaco_geo.config import StrictModel
 from subiaco_geo.disk import ground_of, require_room
 from subiaco_geo.errors import InputError, RegistrationError
@@ -59,7 +59,6 @@ from subiaco_geo.work.task_runner import TaskRunner, stages_from
 
 _LOG = logging.getLogger(__name__)
 Taken = TypeVar("Taken")
-CLAIMED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
 RESULT_BYTES, STAGE_BYTES = 60, 200  # a point takes on the disk; measured: 58, and 220 to 315
 INPUT_BYTES = 32  # a point of the input takes among the stages, where all are written
@@ -347,7 +346,7 @@ def run_change_and(
         if progress is not None:
             progress("writing", 0.97)
         simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
-        kinds = {row.evidence for row in result.records if row.change in CLAIMED}
+        kinds = {row.evidence for row in result.records if row.change in CHANGED}
         calibration = calibration_of(kinds, simulated, config.confidence)
         inputs = replace(_inputs(request, *epochs, {}, calibration, lots), findings=found)
         write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)

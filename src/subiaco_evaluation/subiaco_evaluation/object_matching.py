@@ -12,11 +12,10 @@ from scipy.spatial import cKDTree
 
 from subiaco_evaluation.grid import first_of_each
 from subiaco_geo.clouds import PointCloud, sort_spatially
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED, CHANGED_LABELS, Change
 from subiaco_geo.frames import Ints
 
 NO_TRUTH = 255
-_CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _CODE = {change.label: int(change) for change in Change}
 
 
@@ -123,12 +122,12 @@ def true_changes(truth: PointCloud, points: PointPairs, min_points: int, min_siz
     ``min_size`` [m] on; ``truth`` holds both epochs in the frame of *after*.
     """
     change = np.asarray(truth.fields["change"]).astype(np.int64)
-    real = np.isin(change, _CHANGED)
+    real = np.isin(change, CHANGED)
     keys = np.asarray(truth.fields["object"])[real] * 8 + change[real]
     extent = pd.DataFrame(truth.xyz[real], columns=list("xyz")).groupby(keys).agg(["min", "max"])
     sides = [extent[axis]["max"] - extent[axis]["min"] for axis in "xyz"]
     size = pd.concat(sides, axis=1).max(axis=1) if len(keys) else pd.Series(dtype=float)
-    mine = np.isin(points.true_change, _CHANGED)
+    mine = np.isin(points.true_change, CHANGED)
     hit = _share_by(
         points.true_object[mine] * 8 + points.true_change[mine],
         points.change[mine] == points.true_change[mine],
@@ -140,7 +139,7 @@ def true_changes(truth: PointCloud, points: PointPairs, min_points: int, min_siz
 
 def changed_rows(verdicts: pd.DataFrame, min_points: int) -> pd.DataFrame:
     """Return the rows that claim a change and have enough points."""
-    labels = [change.label for change in _CHANGED]
+    labels = list(CHANGED_LABELS)
     return verdicts[verdicts["label"].isin(labels) & (verdicts["points"] >= min_points)]
 
 

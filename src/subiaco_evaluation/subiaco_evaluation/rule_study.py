@@ -26,7 +26,7 @@ from subiaco_evaluation.rule_runner import FullRunner, PartialRunner, RuleNotes
 from subiaco_evaluation.scoring import EvaluationConfig, joined_truth
 from subiaco_evaluation.truth import SurveyTruth, read_truth
 from subiaco_geo.atomic import whole_file
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED, Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
 from subiaco_geo.sources import open_epoch
@@ -41,7 +41,6 @@ TABLE, RUNS, PAGE = "rules.csv", "runs.csv", "rules.md"
 BASELINE = "baseline"
 _CLOUDS = ("ply", "laz", "las")
 _BLOCK = 40.0  # edge of the blocks that the bootstrap draws [m]
-_CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 @dataclass(frozen=True)
@@ -295,7 +294,7 @@ def _object_blocks(records: Any, points: objects.PointPairs, real: Any, config: 
     change = np.asarray(cloud.fields["change"]).astype(np.int64)
     keys = np.asarray(cloud.fields["object"]) * 8 + change
     world = cloud.world()
-    changed = np.isin(change, _CHANGED)
+    changed = np.isin(change, CHANGED)
     middles = pd.DataFrame(world[changed, :2], columns=["x", "y"]).groupby(keys[changed]).mean()
     places += [(*_block(*middles.loc[key].tolist()), 1) for key in found]
     if not places:

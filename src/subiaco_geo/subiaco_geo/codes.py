@@ -22,6 +22,12 @@ class Change(IntEnum):
         return self.name.title().replace("_", "")
 
 
+#: What an object is that one epoch alone has, and every change.
+ONE_EPOCH = (Change.ADDED, Change.REMOVED)
+CHANGED = (*ONE_EPOCH, Change.INCREASED, Change.DECREASED)
+CHANGED_LABELS = tuple(change.label for change in CHANGED)
+
+
 class Semantic(IntEnum):
     """Point classes of the published evaluation."""
 

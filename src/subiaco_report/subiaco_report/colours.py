@@ -15,8 +15,9 @@ from subiaco_change.outputs.clouds import change_palette
 from subiaco_change.outputs.terrain import hillshade
 from subiaco_change.records import SEMANTIC_COLOURS
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import CHANGED
 from subiaco_geo.frames import Floats, Ints
-from subiaco_report.top_views import CHANGED, Frame, fill_holes, top_view
+from subiaco_report.top_views import Frame, fill_holes, top_view
 
 VIRIDIS = colormaps["viridis"]  # a copy at every look-up, of which each makes its table anew
 BACKGROUND = (247, 247, 245)

@@ -17,10 +17,10 @@ from shapely.geometry.base import BaseGeometry
 from subiaco_change.outputs.clouds import change_palette
 from subiaco_change.outputs.terrain import hillshade
 from subiaco_geo.cloud_windows import CloudFile
-from subiaco_geo.codes import Semantic
+from subiaco_geo.codes import CHANGED, Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_report.colours import BACKGROUND, VIRIDIS, Colours
-from subiaco_report.top_views import CHANGED, Frame, fill_holes, top_view
+from subiaco_report.top_views import Frame, fill_holes, top_view
 
 PANEL, SECTION, HEAD = 140, 84, 15  # edges of the parts of a picture on the page [pixel]
 WIDTH, HEIGHT = 3 * PANEL, HEAD + PANEL + SECTION

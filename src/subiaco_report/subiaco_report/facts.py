@@ -12,13 +12,12 @@ import pandas as pd
 from subiaco_change.outputs.rasters import Coverage
 from subiaco_change.outputs.reviews import is_rejected
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import CHANGED_LABELS, Change, Semantic
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import rotation_angle
 from subiaco_geo.simulated import SIMULATIONS
 from subiaco_report.cloud_windows import LodCounts
 
-CHANGED_LABELS = tuple(c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))
 _MEANINGS = {
     Change.ADDED: "only in the later epoch, at a place that the earlier one observed",
     Change.REMOVED: "only in the earlier epoch, at a place that the later one observed",

@@ -16,8 +16,8 @@ import pyogrio
 from subiaco_change.outputs.parcels import OUTSIDE
 from subiaco_change.outputs.reviews import review_states
 from subiaco_geo.atomic import whole_directory
+from subiaco_geo.codes import CHANGED_LABELS
 from subiaco_report.evidence_pictures import Evidence, svg_path
-from subiaco_report.facts import CHANGED_LABELS
 from subiaco_report.pictures import Block
 from subiaco_report.top_views import Frame
 

@@ -16,12 +16,11 @@ from subiaco_change.outputs.geopackage import COVERAGE_COLOURS
 from subiaco_change.outputs.rasters import COVERAGE, Coverage
 from subiaco_change.outputs.reviews import is_rejected, review_counts
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED_LABELS, Change
 from subiaco_report.city_map import city_map, webp_uri
 from subiaco_report.cloud_windows import Gathered
 from subiaco_report.evidence_pictures import Evidence
 from subiaco_report.facts import (
-    CHANGED_LABELS,
     changed_rows,
     findings,
     is_simulated,

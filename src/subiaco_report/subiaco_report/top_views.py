@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED, Change
 from subiaco_geo.frames import Floats, Ints
 
 #: What hides all else in a view of changes.
-CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 @dataclass(frozen=True)

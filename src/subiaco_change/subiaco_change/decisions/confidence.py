@@ -16,7 +16,7 @@ from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import ChangeRecord
 from subiaco_change.visibility_evidence import KINDS
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
@@ -259,7 +259,7 @@ def paper_score(semantic: Semantic, measures: Measures, lod: float) -> float:
 
 def kind_of(change: Change) -> ClaimKind | None:
     """Name the model of a label; None for labels that claim nothing."""
-    if change in (Change.ADDED, Change.REMOVED):
+    if change in ONE_EPOCH:
         return "single"
     if change in (Change.INCREASED, Change.DECREASED):
         return "reshaped"

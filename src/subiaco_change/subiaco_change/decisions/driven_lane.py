@@ -23,7 +23,7 @@ from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats
 
 _HALF_WIDTH = NUMBERS.driven_lane.half_width
@@ -231,7 +231,7 @@ def limit_in_lane(
     change: Change, share: float, confidence: float, reason: str, rules: DecisionConfig
 ) -> tuple[float, str]:
     """Return the confidence in a claim and its reason, limited where ``share`` of its points is in a lane."""
-    single = change in (Change.ADDED, Change.REMOVED)
+    single = change in ONE_EPOCH
     if not single or share < _SHARE or confidence <= rules.lane_confidence:
         return confidence, reason
     doubt = f"{share:.0%} of the object lies in the lane that a survey vehicle drove through (limit"
@@ -243,6 +243,6 @@ def lane_share_of_claim(
     decision: Decision, objects: Sequence[ObjectInstance], lanes: Sequence[Observed], rules: DecisionConfig
 ) -> float:
     """Fraction of a claim of one epoch that lies in a driven lane; 0 for what is higher than vehicles."""
-    if decision.change not in (Change.ADDED, Change.REMOVED) or not lanes:
+    if decision.change not in ONE_EPOCH or not lanes:
         return 0.0
     return share_in_lane(objects, lanes) if fits_a_vehicle(objects, rules) else 0.0

@@ -29,7 +29,7 @@ from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, applies, no_decision, switchable
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 Observed = Callable[[Floats], Mask]
@@ -417,7 +417,7 @@ def limit_confidence(
     An object that was seen for a moment only is as likely a ghost trail as an object. It is a change if it
     stood and its place was ``free`` in the other epoch with this probability.
     """
-    if decision.change not in (Change.ADDED, Change.REMOVED) or mean_moving_probability(objects) is None:
+    if decision.change not in ONE_EPOCH or mean_moving_probability(objects) is None:
         return confidence, decision.reason
     moved = upper_moving_probability(objects) if fits_a_vehicle(objects, rules) else 0.0
     together = joint_probability(moved, free)

@@ -43,7 +43,7 @@ from subiaco_change.instance_splitting.split_merge import (
 from subiaco_change.instance_splitting.trees_over_shrubs import split_trees_over_shrubs
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.records import ChangeRecord
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import ONE_EPOCH, Semantic
 from subiaco_geo.frames import Floats
 
 
@@ -170,7 +170,7 @@ def make_record(
     certain = bounded(probability(change.decision, found, trust), change.decision, m, trust)
     certain, reason = limit_confidence(change.decision, objects, certain, rules, m.free)
     certain, reason = limit_in_lane(change.decision.change, change.in_lane, certain, reason, rules)
-    if change.doubt and change.decision.change in (Change.ADDED, Change.REMOVED):
+    if change.doubt and change.decision.change in ONE_EPOCH:
         certain, reason = min(certain, rules.lane_confidence), f"{reason} {change.doubt}"
     return ChangeRecord(
         object_id=object_id,

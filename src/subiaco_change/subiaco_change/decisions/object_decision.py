@@ -45,7 +45,7 @@ from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import unique_cells
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _FLAT_TOP = NUMBERS.object_decision.flat_top
@@ -157,7 +157,7 @@ def decide_object(
     epoch = 0 if before else 1  # of an object of one epoch
     own = rules.own[epoch]
     doubt = ""
-    if decision.change in (Change.ADDED, Change.REMOVED):
+    if decision.change in ONE_EPOCH:
         contrast = contrast_with_ground(parts, semantic, own, rules.decisions)
         decision = (
             is_misclassified_ground(semantic, parts)
@@ -175,7 +175,7 @@ def decide_object(
             or decide_vehicle_part(parts, semantic, measures, rules.standing[1 - epoch])
             or decision
         )
-        if decision.change in (Change.ADDED, Change.REMOVED):
+        if decision.change in ONE_EPOCH:
             doubt = doubt_of_porous(contrast, semantic)
     kind = match_kind(len(before), len(after))
     in_lane = lane_share_of_claim(decision, parts, rules.lanes, rules.decisions)

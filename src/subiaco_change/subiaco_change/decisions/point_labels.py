@@ -19,7 +19,7 @@ from subiaco_change.method_rules.switches import none_of_them, rule_mask, switch
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import CHANGED, Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _AROUND = NUMBERS.point_labels.surrounding_points
@@ -91,7 +91,7 @@ def label_rest(
 
 def _join_fragments(xyz: Floats, labels: PointLabels, fragments: Ints, touch: float) -> Ints:
     """Give points of no object the label of the changed object they touch; return those that touch one."""
-    changed = np.isin(labels.change, (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))
+    changed = np.isin(labels.change, CHANGED)
     hosts = np.flatnonzero((labels.instance >= 0) & changed)
     nearest = touching(xyz[fragments], xyz[hosts], touch)
     joined, host = fragments[nearest >= 0], hosts[nearest[nearest >= 0]]

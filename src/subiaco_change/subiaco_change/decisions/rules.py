@@ -11,7 +11,7 @@ from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, switchable
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 
 _EXACT = NUMBERS.rules.least_half_width
 _OPPOSED = NUMBERS.rules.opposed_height
@@ -154,7 +154,7 @@ def _enclosing(decision: Decision, measures: Measures, config: DecisionConfig) -
     Beams that ran along a wall leave unknown what lies behind it: then the bounds of the volume reach zero,
     and what one survey alone has may be the side of something that both survey vehicles passed.
     """
-    if decision.change not in (Change.ADDED, Change.REMOVED):
+    if decision.change not in ONE_EPOCH:
         return decision
     sign = 1.0 if decision.change is Change.ADDED else -1.0
     stated = measures.stated_volume

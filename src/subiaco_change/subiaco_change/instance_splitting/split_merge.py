@@ -31,14 +31,12 @@ from subiaco_change.instance_splitting.merged_instances import (
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
 _WALL = NUMBERS.split_merge.wall_reach
 _WITHIN = NUMBERS.split_merge.inside_share
 _HARDLY = NUMBERS.split_merge.least_observed
-_SINGLE = (Change.ADDED, Change.REMOVED)
-_CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 @switchable("building_extensions", first_argument)
@@ -53,7 +51,7 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
         if change.semantic is Semantic.BUILDING
         or (
             change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
-            and change.decision.change in (Change.ADDED, Change.REMOVED)
+            and change.decision.change in ONE_EPOCH
             and is_smooth_surface(join_voxels((*change.before, *change.after)))
         )
     ]
@@ -84,7 +82,7 @@ def _with_extensions(
     seen = [p for p in parts if p.decision.change is not Change.UNOBSERVED or _is_seen_alone(p, rules)]
     hidden = [p for p in parts if not any(p is other for other in seen)]
     told = _extended(host, seen, rules, following) if seen else [host]
-    if not hidden or any(part.decision.change in _CLAIMS for part in told):
+    if not hidden or any(part.decision.change in CHANGED for part in told):
         return [*told, *hidden]
     return _with_rear(host, parts, rules, following) or [*told, *hidden]
 
@@ -95,7 +93,7 @@ def _with_rear(
 ) -> list[ObjectChange] | None:
     """Decide a building with all parts that touch it; None where no change is claimed."""
     told = _extended(host, parts, rules, following)
-    return told if any(part.decision.change in _CLAIMS for part in told) else None
+    return told if any(part.decision.change in CHANGED for part in told) else None
 
 
 def _is_seen_alone(change: ObjectChange, rules: ObjectRules) -> bool:
@@ -128,7 +126,7 @@ def _extended(
             _decide_together([body, *(e for e, k in zip(pieces, owner, strict=True) if k == number)], rules)
             for number, body in enumerate(bodies)
         ]
-        claimed = any(part.decision.change in _CLAIMS for part in parts)
+        claimed = any(part.decision.change in CHANGED for part in parts)
         if claimed and not any(_is_apart(part, rules) for part in parts):
             return parts
     return [_decide_together([(host.before, host.after), *pieces], rules)]
@@ -226,7 +224,7 @@ def part_hardly_overlapping(changes: Sequence[ObjectChange], rules: ObjectRules)
                 decide_object(change.before, (), change.semantic, rules),
                 decide_object((), change.after, change.semantic, rules),
             )
-            parts = list(apart) if any(p.decision.change in _CLAIMS for p in apart) else parts
+            parts = list(apart) if any(p.decision.change in CHANGED for p in apart) else parts
         told.extend(parts)
     return told
 
@@ -243,7 +241,7 @@ def split_multi_body_matches(changes: Sequence[ObjectChange], rules: ObjectRules
             continue
         parts = [decide_object(b, a, change.semantic, rules) for b, a in pieces]
         labels = {part.decision.change for part in parts if not _is_apart(part, rules)}
-        told.extend(parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else [change])
+        told.extend(parts if len(labels) > 1 and not labels.isdisjoint(CHANGED) else [change])
         following += sum(len(p.before) + len(p.after) for p in parts)
     return told
 
@@ -260,7 +258,7 @@ def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> lis
         return list(changes)
     numbers = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
     pieces = [(changes[i].before, changes[i].after) for i in numbers]
-    claimed = [changes[i].decision.change in _SINGLE for i in numbers]
+    claimed = [changes[i].decision.change in ONE_EPOCH for i in numbers]
     following = _first_free(changes)
     told: dict[int, list[ObjectChange]] = {i: [change] for i, change in enumerate(changes)}
     for row in group_row_houses(pieces, claimed, rules.association):
@@ -290,10 +288,10 @@ def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
     parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
     if any(_is_apart(p, rules) for p in parts):
         return []
-    if any(not (p.before and p.after) and p.decision.change not in _SINGLE for p in parts):
+    if any(not (p.before and p.after) and p.decision.change not in ONE_EPOCH for p in parts):
         return []
     labels = {part.decision.change for part in parts}
-    return parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else []
+    return parts if len(labels) > 1 and not labels.isdisjoint(CHANGED) else []
 
 
 @switchable("hedge_sections", first_argument)

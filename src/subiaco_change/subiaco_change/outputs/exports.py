@@ -14,13 +14,13 @@ from subiaco_change.outputs.clouds import change_palette, labelled_path, with_as
 from subiaco_change.outputs.drawing_exchange import write_dxf
 from subiaco_change.outputs.foxglove import write_foxglove
 from subiaco_change.outputs.geopackage import embed_styles, write_geopackage, write_layer
-from subiaco_change.outputs.parcels import CHANGED, rebuild_parcels
+from subiaco_change.outputs.parcels import rebuild_parcels
 from subiaco_change.outputs.rasters import read_coverage
 from subiaco_change.outputs.reviews import read_reviewed, selected_by_review
 from subiaco_change.outputs.table import write_csv, write_parquet
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED, Change
 from subiaco_geo.crs import crs_text
 from subiaco_geo.errors import InputError
 from subiaco_geo.exports import CLOUD_ENDINGS, copy_cloud

@@ -18,10 +18,9 @@ import geopandas as gpd
 from subiaco_change.outputs.reviews import ACCEPTED, REJECTED
 from subiaco_change.outputs.table import ALL_COLUMNS, REVIEW_COLUMNS
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import CHANGED, Change, Semantic
 
 _ROWS = ("objects", "ground")  # layers whose features are rows of the change table
-_CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 #: What the form offers for the column ``review``: words for people, and the value stored.
 _REVIEWS = (("not reviewed", ""), ("accepted", ACCEPTED), ("rejected", REJECTED))
 #: Names of columns in tables and forms.
@@ -57,7 +56,7 @@ def form_elements(layer: str) -> str:
 
 def _changed_number() -> str:
     """Expression: label and number of a change that was not rejected."""
-    names = ", ".join(f"'{change.label}'" for change in _CHANGED)
+    names = ", ".join(f"'{change.label}'" for change in CHANGED)
     shown = f"\"label\" in ({names}) and coalesce(\"review\", '') <> '{REJECTED}'"
     return f'case when {shown} then "label" || \' \' || "object_id" end'
 

@@ -16,7 +16,7 @@ from shapely.geometry import MultiPolygon, shape
 
 from subiaco_change.outputs.rasters import COVERAGE, Coverage
 from subiaco_change.outputs.reviews import is_rejected
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED, CHANGED_LABELS, Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
@@ -27,7 +27,6 @@ _FAULTS = (
     LookupError, TypeError, OverflowError,
 )  # fmt: skip
 #: Labels that count as a change.
-CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 OUTSIDE = "outside all lots"  # name of the row that takes what lies on no lot
 _SUMS = (
     "rejected",
@@ -120,7 +119,7 @@ def build_parcels(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, coverage: Cov
         chosen = (table["label"] == change.label).to_numpy() & ~rejected
         columns[change.label.lower()] = np.bincount(home[chosen], minlength=size)
     columns["rejected"] = np.bincount(home[rejected], minlength=size)
-    changed = table["label"].isin([c.label for c in CHANGED]).to_numpy() & ~rejected
+    changed = table["label"].isin(CHANGED_LABELS).to_numpy() & ~rejected
     outline = np.where(changed, table.geometry.area.to_numpy(), 0.0)
     volume = np.where(changed, table["delta_v_m3"].fillna(0.0).to_numpy(dtype=np.float64), 0.0)
     columns["changed_m2"] = np.round(np.bincount(place, outline[owner] * share, minlength=size), 3)

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from subiaco_change.outputs.table import REVIEW_COLUMNS, STATISTICS, read_csv, read_stored, with_footprints
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED_LABELS
 from subiaco_geo.csv_cells import restore_cell
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
@@ -215,7 +215,6 @@ _NO = ("rejected", "reject", "no", "n", "false", "wrong", "0")
 _WORDS = dict.fromkeys(_YES, ACCEPTED) | dict.fromkeys(_NO, REJECTED)
 #: Selections of rows by their review that exports offer.
 SELECTIONS = ("all", "accepted", "not-rejected")
-_CLAIMS = tuple(c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))
 
 
 def review_states(table: pd.DataFrame) -> NDArray[np.str_]:
@@ -253,7 +252,7 @@ def selected_by_review(table: pd.DataFrame, selection: str) -> NDArray[np.bool_]
 
 def review_counts(table: pd.DataFrame) -> dict[str, Any]:
     """Count the changed rows, and how many of them were reviewed, accepted and rejected."""
-    states = review_states(table)[table["label"].isin(_CLAIMS).to_numpy()]
+    states = review_states(table)[table["label"].isin(CHANGED_LABELS).to_numpy()]
     return {
         "changed": len(states),
         "reviewed": int(np.count_nonzero(states != "")),

@@ -13,17 +13,15 @@ from subiaco_change.segmentation.ground_model import Mask
 from subiaco_evaluation.baselines.cells import CellVerdict, Codes, EpochCells, Pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats, Ints
-
-_CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 def connect(code: Codes) -> tuple[Ints, list[Change]]:
     """Return contiguous cells of one label as numbers (rows, columns), -1 elsewhere, and their labels."""
     number = np.full(code.shape, -1, dtype=np.int64)
     names: list[Change] = []
-    for change in _CLAIMS:
+    for change in CHANGED:
         labels, count = ndimage.label(code == change, structure=np.ones((3, 3)))
         number[labels > 0] = labels[labels > 0] + len(names) - 1
         names += [change] * count
@@ -110,7 +108,7 @@ def _record(
         change=change,
         id_before=(number,) if counts[0] else (),
         id_after=(number,) if counts[1] else (),
-        match_kind="none" if change in (Change.ADDED, Change.REMOVED) else "one_to_one",
+        match_kind="none" if change in ONE_EPOCH else "one_to_one",
         delta_h_m=_median(rise),
         delta_v_m3=float(rise[seen].sum() * pair.grid.cell**2) if seen.any() else math.nan,
         delta_v_surface_m3=math.nan,

@@ -11,7 +11,7 @@ from scipy.special import expit, logit
 
 from subiaco_change.records import ChangeResult
 from subiaco_evaluation.object_matching import PointPairs
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import CHANGED_LABELS
 from subiaco_geo.frames import Floats
 
 PROBABILITY = 0.95
@@ -21,7 +21,6 @@ _SHARE = 0.5  # of the points of a change that must carry its label, as subiaco 
 _POINTS = 30  # that a change needs to be counted, as subiaco evaluate
 _FEWEST = 12  # changes that a curve needs
 _SHIFTS = ("raised", "lowered", "grown", "cut")
-_CHANGED = [c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)]
 
 #: Columns of a table of injected changes: what, how large [m], level of detection there [m], found or not.
 COLUMNS = ("copy", "object_id", "class_name", "kind", "event", "magnitude_m", "lod95_m", "points", "found")
@@ -49,7 +48,7 @@ def outcomes(rows: pd.DataFrame, points: PointPairs, result: ChangeResult, copy:
     """
     lod = np.concatenate([np.asarray(c.fields["lod95"]) for c in (result.before, result.after)])
     found = []
-    for row in rows[rows["label"].isin(_CHANGED)].to_dict("records"):
+    for row in rows[rows["label"].isin(CHANGED_LABELS)].to_dict("records"):
         whole = points.true_object == row["object_id"]
         mine = whole & (points.true_change == row["change"])
         if mine.sum() < max(_POINTS, _SHARE * whole.sum()):

@@ -28,7 +28,7 @@ from subiaco_evaluation.injection.site import Site
 from subiaco_evaluation.injection.source_objects import SourceScene, by_turns, label_scene, things_of
 from subiaco_geo.cloud_io import READABLE, read_cloud
 from subiaco_geo.clouds import voxel_downsample
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import CHANGED, Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.survey_map import SurveyMap
@@ -75,7 +75,7 @@ class Injected:
 
 
 _OPPOSITE = np.arange(256, dtype=np.uint8)
-_OPPOSITE[[Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED]] = [
+_OPPOSITE[list(CHANGED)] = [
     Change.REMOVED,
     Change.ADDED,
     Change.DECREASED,

@@ -19,9 +19,9 @@ from subiaco_change.outputs.clouds import open_labelled
 from subiaco_change.records import SEMANTIC_COLOURS
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.cloud_windows import CloudFile
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import CHANGED_LABELS, Change, Semantic
 from subiaco_geo.frames import Floats
-from subiaco_report.facts import CHANGED_LABELS, is_simulated, legend
+from subiaco_report.facts import is_simulated, legend
 from subiaco_report.row_data import pack, page_rows
 from subiaco_report.summary import epoch_facts
 from subiaco_report.viewer.node_files import IntensityStretch, node_columns, node_script
