@@ -38,7 +38,7 @@ def _record(**said):
 
 
 TYPICAL = Measures(
-    iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
+    iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0,
     gone_share=0.0, new_share=0.0, observed_fraction=0.8, observed_voxels=50, net_changed_fraction=0.0,
 )  # fmt: skip
 

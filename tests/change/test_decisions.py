@@ -14,7 +14,7 @@ from subiaco_change.decisions.space_carving import Interval
 from subiaco_geo.codes import Change, Semantic
 
 SAME = Measures(
-    iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
+    iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0,
     gone_share=0.0, new_share=0.0, observed_fraction=1.0, observed_voxels=500, net_changed_fraction=0.0,
 )  # fmt: skip
 CONFIG = DecisionConfig()
@@ -25,10 +25,7 @@ def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **chang
 
 
 def decided(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **changes):
-    """Decide with just enough surface, new or gone as volume or height say, to carry a change."""
-    rules = CONFIG.vegetation if semantic is Semantic.VEGETATION else CONFIG.building
-    way = changes.get("delta_v", 0.0) or changes.get("delta_h", 0.0)
-    changes.setdefault("net_changed_fraction", math.copysign(rules.min_net_change, way) if way else 0.0)
+    """Decide, with the volume that a change of height brings."""
     if not (before and after):
         changes.setdefault("delta_v", 50.0 if after else -50.0)  # what a building encloses
     changes.setdefault(
@@ -70,23 +67,6 @@ def test_a_building_of_one_survey_that_encloses_no_volume_is_a_piece_of_a_wall(b
 def test_a_height_change_below_the_gate_is_not_claimed():
     assert label(delta_h=0.8, lod=0.7) is Change.UNCHANGED
     assert label(delta_h=0.9, lod=0.7) is Change.INCREASED
-
-
-@pytest.mark.parametrize(("dh", "dv"), [(3.0, 50.0), (-3.0, -50.0), (0.0, -17.0)])
-def test_a_change_of_a_plant_that_no_new_or_gone_surface_carries_is_coverage(dh, dv):
-    semantic = Semantic.VEGETATION
-    assert label(semantic, delta_h=dh, delta_v=dv, net_changed_fraction=0.0) is Change.UNCHANGED
-    assert label(semantic, delta_h=dh, delta_v=dv, net_changed_fraction=-math.copysign(0.5, dv)) is not label(
-        semantic, delta_h=dh, delta_v=dv, net_changed_fraction=math.copysign(0.5, dv)
-    )
-
-
-@pytest.mark.parametrize(
-    ("share", "expected"),
-    [(0.151, Change.INCREASED), (-0.151, Change.DECREASED), (0.13, Change.UNCHANGED)],
-)
-def test_a_crown_whose_top_is_out_of_sight_shows_in_its_sides(share, expected):
-    assert label(Semantic.VEGETATION, net_changed_fraction=share) is expected
 
 
 @pytest.mark.parametrize(
@@ -217,11 +197,6 @@ def test_new_walls_without_volume_are_no_change_of_a_house():
 
 def test_no_level_of_detection_means_no_claim():
     assert label(delta_h=3.0, lod=math.inf) is Change.UNOBSERVED
-
-
-@pytest.mark.parametrize(("dh", "expected"), [(0.29, Change.UNCHANGED), (0.31, Change.INCREASED)])
-def test_vegetation_has_finer_thresholds(dh, expected):
-    assert label(Semantic.VEGETATION, delta_h=dh) is expected
 
 
 def test_one_sided_objects_need_a_place_that_was_seen_empty():

@@ -38,7 +38,7 @@ from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
 CROSSED = Measures(
-    iou=0.0, d_perp=0.0, delta_c=0.0, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=1.0, chi2=1.0,
+    iou=0.0, d_perp=0.0, delta_c=0.0, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=1.0,
     gone_share=0.0, new_share=1.0, observed_fraction=1.0, observed_voxels=50, net_changed_fraction=2.0,
 )  # fmt: skip
 

@@ -66,9 +66,9 @@ def test_one_limit_of_a_class_can_be_set_alone_and_is_all_that_is_written() -> N
     assert ChangeRequest.from_json(request.to_json(), "goal").config == config
 
 
-def test_a_limit_at_the_default_of_its_class_but_not_of_its_group_is_written() -> None:
-    limits = {"height": 0.7, "surface": float("inf")}
-    config = ChangeConfig.model_validate({"decisions": {"building": limits}})
+def test_a_value_at_the_default_of_its_model_but_not_of_its_group_is_written() -> None:
+    config = ChangeConfig.model_validate({"confidence": {"single": {"density": 0.0}}})
+    assert ChangeConfig().confidence.single.density != 0.0
     request = ChangeRequest.of(**PATHS, config=config)
     assert ChangeRequest.from_json(request.to_json(), "goal").config == config
 

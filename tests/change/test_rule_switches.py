@@ -24,7 +24,7 @@ from subiaco_geo.codes import Change, Semantic
 CONFIG = DecisionConfig()
 NEW = Measures(
     iou=0.0, d_perp=math.nan, delta_c=math.nan, delta_h=math.nan, delta_v=50.0, delta_v_surface=0.0,
-    volume=50.0, chi2=1.0, gone_share=0.0, new_share=1.0, observed_fraction=0.9, observed_voxels=200,
+    volume=50.0, gone_share=0.0, new_share=1.0, observed_fraction=0.9, observed_voxels=200,
 )  # fmt: skip
 HOUSE = replace(NEW, iou=0.8, delta_h=0.0, delta_v=0.0, volume=1000.0, new_share=0.1)
 CROWN = PlantMeasures(

@@ -11,7 +11,7 @@ from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.measures import histogram_distance, oriented_rectangle, rectangle_iou
+from subiaco_change.decisions.measures import oriented_rectangle, rectangle_iou
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
@@ -55,6 +55,7 @@ class AssociationConfig(StrictModel):
         description="Standard deviation of 1 - footprint intersection over union for one object in two "
         "epochs [1]",
     )
+    histogram_bins: int = Field(10, ge=2, description="Number of bins of the height histogram (paper)")
     spread_histogram: float = Field(
         0.35,
         gt=0,
@@ -169,9 +170,18 @@ def _seen_gone(objects: Sequence[ObjectInstance], least: float) -> bool:
     return bool(np.count_nonzero(free) >= max(least * np.count_nonzero(observed), 1))
 
 
+def _histogram_distance(before: Floats, after: Floats, bins: int) -> float:
+    """Chi-square distance, 0 to 1, of two height histograms over their common range."""
+    if len(before) == 0 or len(after) == 0:
+        return 1.0
+    span = (min(before.min(), after.min()), max(before.max(), after.max()) + 1e-6)
+    h, g = (np.histogram(v, bins, span)[0] / len(v) for v in (before, after))
+    return float(0.5 * np.sum((h - g) ** 2 / np.maximum(h + g, 1e-12)))
+
+
 def _cost(distance: float, overlap: float, b: _Shape, a: _Shape, config: AssociationConfig) -> float:
     """Price of calling two groups one object: a chi-square, or the paper's plain sum."""
-    histogram = histogram_distance(b.heights, a.heights, 10)
+    histogram = _histogram_distance(b.heights, a.heights, config.histogram_bins)
     if config.cost == "plain":
         weights = _PAPER_COST
         printed = weights[0] * distance + weights[1] * (1 - overlap) + weights[2] * histogram

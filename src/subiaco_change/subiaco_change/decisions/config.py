@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -11,36 +10,27 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 
 
-class ClassRules(StrictModel):
-    """Thresholds of one class."""
-
-    FORMER_NAMES: ClassVar[Mapping[str, str]] = {"carried": "min_net_change"}
+class BuildingLimits(StrictModel):
+    """From where on a building has grown or shrunk."""
 
     min_iou: float = Field(
+        0.10,
         ge=0,
         le=1,
-        description="Voxel intersection over union above which two matched objects are compared for "
+        description="Voxel intersection over union above which two matched buildings are compared for "
         "changes [1]",
     )
-    same_iou: float = Field(
-        0.20, ge=0, le=1, description="Voxel intersection over union above which an object is unchanged [1]"
-    )
     height: float = Field(
+        0.50,
         gt=0,
-        description="Change of the height of an object of this class beyond which the object is called "
-        "Increased or Decreased [m]. Raise it to claim fewer changes",
+        description="Change of the height of a building beyond which the building is called Increased or "
+        "Decreased [m]. Raise it to claim fewer changes",
     )
     volume: float = Field(
+        0.10,
         gt=0,
-        description="Change of the volume of an object of this class, as a fraction of the volume, beyond "
-        "which the object is called Increased or Decreased. Raise it to claim fewer changes",
-    )
-    shift: float = Field(gt=0, description="Largest centroid distance of an unchanged object [m]")
-    min_net_change: float = Field(
-        0.0,
-        ge=0,
-        description="Fraction of new or gone surface, observed by the other epoch, that must support a "
-        "change (Decision 13); 0 asks for none",
+        description="Change of the volume of a building, as a fraction of the volume, beyond which the "
+        "building is called Increased or Decreased. Raise it to claim fewer changes",
     )
     certain: float = Field(
         0.5,
@@ -61,6 +51,38 @@ class ClassRules(StrictModel):
         description="Fraction of the volume limit that the upper bound of a building's volume change must "
         "reach to support its height change",
     )
+
+
+class PlantLimits(StrictModel):
+    """From where on a plant has grown or was trimmed."""
+
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {"carried": "min_net_change"}
+
+    min_iou: float = Field(
+        0.08,
+        ge=0,
+        le=1,
+        description="Voxel intersection over union above which two matched plants are compared for "
+        "changes [1]",
+    )
+    height: float = Field(
+        0.30,
+        gt=0,
+        description="Change of the height of a plant beyond which the plant is called Increased or "
+        "Decreased [m]. Raise it to claim fewer changes",
+    )
+    volume: float = Field(
+        0.15,
+        gt=0,
+        description="Change of the volume of a plant, as a fraction of the volume, beyond which the plant "
+        "is called Increased or Decreased. Raise it to claim fewer changes",
+    )
+    min_net_change: float = Field(
+        0.10,
+        ge=0,
+        description="Fraction of new or gone surface, observed by the other epoch, that must support a "
+        "change (Decision 13); 0 asks for none",
+    )
     followed: float = Field(
         0.5,
         ge=0,
@@ -69,26 +91,33 @@ class ClassRules(StrictModel):
         "for new or lost surface to be a change",
     )
     surface: float = Field(
-        math.inf,
+        0.15,
         gt=0,
         description="Fraction of new or gone surface that is a change of volume by itself; inf for never",
     )
     outline: float = Field(
-        math.inf,
+        0.08,
         gt=0,
         description="Shift of the outline, as a fraction of its distance from the middle, that is a "
         "change by itself; inf for never",
     )
 
 
+class MovableLimits(StrictModel):
+    """Within which a vehicle or another object of both epochs is the same."""
+
+    same_iou: float = Field(
+        0.20, ge=0, le=1, description="Voxel intersection over union above which an object is unchanged [1]"
+    )
+    shift: float = Field(2.0, gt=0, description="Largest centroid distance of an unchanged object [m]")
+
+
 class DecisionConfig(StrictModel):
     """Table of section E; defaults are the paper's."""
 
-    building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5)
-    vegetation: ClassRules = ClassRules(
-        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, min_net_change=0.10, surface=0.15, outline=0.08
-    )
-    mobile: ClassRules = ClassRules(min_iou=0.20, height=math.inf, volume=math.inf, shift=2.0)
+    building: BuildingLimits = BuildingLimits()
+    vegetation: PlantLimits = PlantLimits()
+    mobile: MovableLimits = MovableLimits()
     lod_factor: float = Field(
         1.2, gt=0, description="Limit of a height change as a multiple of the level of detection (paper)"
     )

@@ -89,7 +89,6 @@ class MeasureConfig(StrictModel):
         ge=0,
         description="Half width of gaps of occluded columns that are filled when volumes are compared [m]",
     )
-    bins: int = Field(10, ge=2, description="Number of bins of the height histogram (paper)")
     top_quantile: float = Field(
         0.95,
         gt=0.5,
@@ -134,7 +133,6 @@ class Measures:
     delta_v: float
     delta_v_surface: float
     volume: float
-    chi2: float
     gone_share: float
     new_share: float
     observed_fraction: float
@@ -181,7 +179,6 @@ def measure(
         delta_v=0.0,
         delta_v_surface=float(alone_a - alone_b) * config.voxel**3,
         volume=0.0,
-        chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
         gone_share=alone_b / max(len(seen_b), 1),
         new_share=alone_a / max(len(seen_a), 1),
         observed_fraction=observed_fraction(before, after, config),
@@ -262,15 +259,6 @@ def _distance(before: Voxels, after: Voxels) -> float:
 
 def _top(voxels: Voxels, config: MeasureConfig) -> float:
     return quantile_of(voxels.height, config.top_quantile) if len(voxels) else float("nan")
-
-
-def histogram_distance(before: Floats, after: Floats, bins: int) -> float:
-    """Chi-square distance, 0 to 1, of two height histograms over their common range."""
-    if len(before) == 0 or len(after) == 0:
-        return 1.0
-    span = (min(before.min(), after.min()), max(before.max(), after.max()) + 1e-6)
-    h, g = (np.histogram(v, bins, span)[0] / len(v) for v in (before, after))
-    return float(0.5 * np.sum((h - g) ** 2 / np.maximum(h + g, 1e-12)))
 
 
 def oriented_rectangle(xy: Floats) -> BaseGeometry:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from subiaco_change.decisions.config import ClassRules, DecisionConfig
+from subiaco_change.decisions.config import DecisionConfig, PlantLimits
 from subiaco_change.decisions.rules import NO_LEVEL, Decision, percent_of_earlier
 from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
 from subiaco_change.method_rules.switches import applies, switchable, third_argument
@@ -128,7 +128,7 @@ def _decide_section(plant: PlantMeasures, null: VegetationNull) -> Decision:
     return _decision(plant, _Excess("rise", plant.section, expected, limit, expected.sd))
 
 
-def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: VegetationNull) -> Decision:
+def _decide_whole(plant: PlantMeasures, gate: float, rules: PlantLimits, null: VegetationNull) -> Decision:
     """Decide by the tops of the columns or the outline where they moved, else by volume and surface.
 
     The tops of its columns say more of a plant than its highest voxels, of which few beams tell.
@@ -156,7 +156,7 @@ def _decide_by_surface(
     candidates: Sequence[_Excess],
     extent: Sequence[_Excess],
     found: dict[str, _Excess],
-    rules: ClassRules,
+    rules: PlantLimits,
 ) -> Decision | None:
     """Decide by measures that rest on new and lost surface; None where none of them exceeds its limit."""
     surface = found["surface"]
@@ -180,7 +180,7 @@ def _decide_by_surface(
     return _of_leaves(plant, max(leaves, key=lambda e: abs(e.strength))) if leaves else None
 
 
-def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: ClassRules) -> bool:
+def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: PlantLimits) -> bool:
     """Tell whether surface appeared or disappeared in a plant of which neither tops nor outline followed.
 
     Leaves that fall open a crown to beams and leave its extent as it is. What appeared beside the outline
@@ -207,7 +207,7 @@ def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
 
-def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rules: ClassRules) -> Decision:
+def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rules: PlantLimits) -> Decision:
     """Leave a plant unchanged whose top or volume changed while its surface did not."""
     share = _quantity(surface.excess, surface.unit)
     least = _quantity(math.copysign(rules.min_net_change, found.strength), surface.unit, sign=False)
@@ -220,7 +220,7 @@ def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rul
 
 
 def _excesses(
-    plant: PlantMeasures, gate: float, rules: ClassRules, null: VegetationNull
+    plant: PlantMeasures, gate: float, rules: PlantLimits, null: VegetationNull
 ) -> dict[str, _Excess]:
     """Return every measure of a whole plant with its limit: the rule's, or the scatter of the pair."""
     limits = {

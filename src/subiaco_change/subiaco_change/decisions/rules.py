@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from subiaco_change.decisions.config import ClassRules, DecisionConfig
+from subiaco_change.decisions.config import BuildingLimits, DecisionConfig
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.method_numbers import NUMBERS
@@ -42,7 +42,7 @@ def decide(
     measures: Measures,
     lod: float,
     config: DecisionConfig,
-    matched: Callable[[], Decision] | None = None,
+    plant: Callable[[], Decision] | None = None,
 ) -> Decision:
     """Decide one object.
 
@@ -55,8 +55,8 @@ def decide(
     lod : float
         Median level of detection of its points [m]; inf where none is known.
     config : DecisionConfig
-    matched : callable, optional
-        Decides an object that can be compared in both epochs instead of the rules of its class.
+    plant : callable, optional
+        Decides a plant of both epochs.
     """
     if not _enough_seen(measures, config):
         return Decision(Change.UNOBSERVED, _unobserved(measures, config), 1.0 - measures.observed_fraction)
@@ -65,7 +65,7 @@ def decide(
         return _enclosing(decision, measures, config) if semantic is Semantic.BUILDING else decision
     if semantic in (Semantic.MOBILE, Semantic.OTHER):
         return _mobile(measures, config)
-    return _compare(semantic, measures, lod, config, matched)
+    return _compare(semantic, measures, lod, config, plant)
 
 
 def _compare(
@@ -73,24 +73,23 @@ def _compare(
     measures: Measures,
     lod: float,
     config: DecisionConfig,
-    matched: Callable[[], Decision] | None,
+    plant: Callable[[], Decision] | None,
 ) -> Decision:
-    """Decide a building or a plant that stands in both epochs."""
-    rules = config.building if semantic is Semantic.BUILDING else config.vegetation
-    if measures.iou <= rules.min_iou and not _is_bounded(semantic, measures):
+    """Decide a building or a plant that both epochs have."""
+    least = config.vegetation.min_iou if plant else config.building.min_iou
+    if measures.iou <= least and not _is_bounded(semantic, measures):
         return Decision(
             Change.UNCHANGED,
-            f"The 3D overlap {measures.iou:.2f} does not exceed the limit of {rules.min_iou:.2f}:"
+            f"The 3D overlap {measures.iou:.2f} does not exceed the limit of {least:.2f}:"
             " too little to compare, and no change is claimed.",
             0.5,
         )
-    if matched is not None:
-        return matched()
+    if plant is not None:
+        return plant()
     gate = max(config.lod_factor * lod, config.lod_floor)
     if not math.isfinite(gate):
         return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
-    by_class = _building if semantic is Semantic.BUILDING else _by_measures
-    return by_class(measures, gate, rules)
+    return _building(measures, gate, config.building)
 
 
 def _is_bounded(semantic: Semantic, measures: Measures) -> bool:
@@ -188,26 +187,6 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
     return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
-def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision:
-    """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
-    limit = max(rules.height, gate)
-    relative = measures.delta_v / max(measures.volume, 1e-6)
-    height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
-    up, down = _strengths(height, relative / rules.volume, measures, rules)
-    evidence = (
-        f"Height change {measures.delta_h:+z.2f} m (limit {limit:.2f} m), volume change {relative:+z.0%}"
-    )
-    surface = measures.net_changed_fraction
-    carried = math.copysign(rules.min_net_change, surface)
-    evidence += f" (limit {rules.volume:.0%}), surface {percent_of_earlier(surface)} (limit"
-    evidence += f" {percent_of_earlier(carried, sign=False)}): "
-    if up <= 1 and down <= 1:
-        return Decision(Change.UNCHANGED, f"{evidence}no change beyond the limits.", max(up, down))
-    rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
-    change = Change.INCREASED if rising else Change.DECREASED
-    return Decision(change, f"{evidence}the object {'grew' if rising else 'shrank'}.", up if rising else down)
-
-
 def percent_of_earlier(share: float, *, sign: bool = True) -> str:
     """Write a change that is a share of the mean of both surveys as a percentage of the earlier one.
 
@@ -220,7 +199,7 @@ def percent_of_earlier(share: float, *, sign: bool = True) -> str:
     return f"{100 * change:+z.0f} %" if sign else f"{100 * abs(change):.0f} %"
 
 
-def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
+def _building(measures: Measures, gate: float, rules: BuildingLimits) -> Decision:
     """Decide by the bounds of height and volume.
 
     A label needs the middle of the bounds beyond the limit, and both bounds on its side of zero: an extension
@@ -279,13 +258,13 @@ def _unseen_rest(observed: float) -> str:
     return f" Both surveys saw {observed:.0%} of the building's surfaces: of the rest nothing is known."
 
 
-def _possible_volume(measures: Measures, _: ClassRules) -> Interval:
+def _possible_volume(measures: Measures, _: BuildingLimits) -> Interval:
     """Return the bounds of the change of volume [m3]."""
     return measures.volume_bounds or Interval(measures.delta_v, measures.delta_v)
 
 
 @switchable("unseen_opposes_nothing", _possible_volume)
-def shown_volume(measures: Measures, rules: ClassRules) -> Interval:
+def shown_volume(measures: Measures, rules: BuildingLimits) -> Interval:
     """Return the bounds of the change of volume, less the opposite change that no survey shows [m3].
 
     Behind a wing that was demolished a house may have been built upon where the earlier survey did not look.
@@ -307,7 +286,7 @@ def _span(height: Interval) -> str:
     return f"{height.low:+z.2f} to {height.high:+z.2f} m" if known else "not known"
 
 
-def _rise(height: Interval, volume: Interval, surface: float, rules: ClassRules) -> float:
+def _rise(height: Interval, volume: Interval, surface: float, rules: BuildingLimits) -> float:
     """Return by how much a rise of a building is met; that of its height needs volume that carries it.
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
@@ -335,19 +314,3 @@ def _sigmas(bounds: Sequence[Interval]) -> float:
 def _share(value: float, limit: float) -> float:
     """Value as a share of its limit; 0 where it is not known."""
     return value / limit if math.isfinite(value) else 0.0
-
-
-def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:
-    """How far the rules for more and for less are met; at most 1 where no surface carries the change.
-
-    Columns tell the volume where their tops were seen. A crown whose top was
-    not seen shows in its sides: there the share of new or lost surface
-    decides.
-    """
-    side = measures.net_changed_fraction / rules.surface
-    up, down = max(height, volume, side), max(-height, -volume, -side)
-    if measures.net_changed_fraction < rules.min_net_change:
-        up = min(up, 1.0)
-    if -measures.net_changed_fraction < rules.min_net_change:
-        down = min(down, 1.0)
-    return up, down

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.config import ClassRules
+from subiaco_change.decisions.config import BuildingLimits, PlantLimits
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_evaluation.injection.config import InjectionConfig
 from subiaco_evaluation.injection.occlusion import Lines, Sight
@@ -161,7 +161,7 @@ def reshape(edited: Edited, members: Ints, kind: str, change: Callable[[Floats],
     if len(after) < edited.config.min_points // 4:
         return False
     rise, volume, share = compare_columns(before - foot, after - foot)
-    rule: ClassRules = getattr(edited.config.decisions, semantic.label)
+    rule: BuildingLimits | PlantLimits = getattr(edited.config.decisions, semantic.label)
     label = _decide(rise, share, rule)
     number = edited.claim(members, label)
     edited.gone[members] = True
@@ -208,7 +208,7 @@ def _tops(xyz: Floats) -> Floats:
     return tops
 
 
-def _decide(rise: float, share: float, rule: ClassRules) -> Change:
+def _decide(rise: float, share: float, rule: BuildingLimits | PlantLimits) -> Change:
     if rise > rule.height or share > rule.volume:
         return Change.INCREASED
     return Change.DECREASED if rise < -rule.height or share < -rule.volume else Change.UNCHANGED
