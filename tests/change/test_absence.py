@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import expit, logit
 from test_decisions import CONFIG, SAME
 
-from subiaco_change.decisions.confidence import ConfidenceConfig, confidence
+from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features
 from subiaco_change.decisions.measures import absence, opacity, pooled, porous_chance
 from subiaco_change.decisions.rules import decide
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
@@ -17,6 +17,11 @@ from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.codes import Change, Semantic
 
 ALONE = replace(SAME, iou=0.0, gone_share=1.0, delta_c=np.nan, delta_h=np.nan, observed_voxels=60)
+
+
+def trust(decision, measures):
+    found = features(decision, measures, Semantic.VEGETATION, 1.0)
+    return confidence(decision, found, measures, ConfidenceConfig())
 
 
 def after_beams(count):
@@ -110,9 +115,9 @@ def test_one_beam_through_each_place_never_gives_nine_tenths():
     """However large the object is and however well its class is known."""
     measures = replace(ALONE, free=0.75, observed_voxels=5000)
     decision = replace(removed(), margin=20.0)
-    assert confidence(decision, measures, Semantic.VEGETATION, 1.0, ConfidenceConfig()) <= 0.75
+    assert trust(decision, measures) <= 0.75
     sure = replace(measures, free=0.99)
-    assert confidence(decision, sure, Semantic.VEGETATION, 1.0, ConfidenceConfig()) > 0.9
+    assert trust(decision, sure) > 0.9
 
 
 def test_with_a_fifth_of_its_place_seen_nothing_is_claimed():

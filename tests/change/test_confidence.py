@@ -49,7 +49,8 @@ def test_a_typical_row_has_the_confidence_of_the_intercept():
     zero = dict.fromkeys(FEATURES, 1.0)
     config = ConfidenceConfig(single=Coefficients(intercept=1.2, **zero))
     row = Decision(Change.ADDED, "", 1.0)
-    assert confidence(row, TYPICAL, Semantic.MOBILE, 0.7, config) == pytest.approx(expit(1.2), abs=0.005)
+    found = features(row, TYPICAL, Semantic.MOBILE, 0.7)
+    assert confidence(row, found, TYPICAL, config) == pytest.approx(expit(1.2), abs=0.005)
 
 
 def test_the_fit_recovers_the_model_that_made_the_labels_and_its_mean_is_the_share_of_right_ones():
@@ -219,7 +220,8 @@ def test_a_run_says_what_its_confidences_were_fitted_on_and_why_they_do_not_hold
 def test_a_claim_about_a_place_that_was_hardly_observed_is_never_sure(share, most):
     sure = ConfidenceConfig(single=Coefficients(intercept=8.0, **dict.fromkeys(FEATURES, 0.0)))
     row = Decision(Change.ADDED, "", 5.0)
-    found = confidence(row, replace(TYPICAL, observed_fraction=share), Semantic.BUILDING, 0.9, sure)
+    seen = replace(TYPICAL, observed_fraction=share)
+    found = confidence(row, features(row, seen, Semantic.BUILDING, 0.9), seen, sure)
     assert most - 0.02 < found <= most
 
 
@@ -241,7 +243,7 @@ def test_bounds_that_straddle_the_limit_of_a_building_cap_the_confidence(low, hi
     sure = ConfidenceConfig(
         reshaped=Coefficients(intercept=9.0, **NONE), unchanged=Coefficients(intercept=9.0, **NONE)
     )
-    found = confidence(decision, house, Semantic.BUILDING, 0.7, sure)
+    found = confidence(decision, features(decision, house, Semantic.BUILDING, 0.7), house, sure)
     assert most - 0.1 < found <= most
 
 
@@ -253,7 +255,8 @@ def test_a_building_whose_bounds_leave_everything_open_is_unchanged_as_most_buil
     decision = decide(Semantic.BUILDING, True, True, house, 0.1, DecisionConfig())
     sure = ConfidenceConfig(unchanged=Coefficients(intercept=9.0, **NONE))
     assert decision.change is Change.UNCHANGED
-    assert confidence(decision, house, Semantic.BUILDING, 0.7, sure) == pytest.approx(0.875, abs=0.01)
+    found = features(decision, house, Semantic.BUILDING, 0.7)
+    assert confidence(decision, found, house, sure) == pytest.approx(0.875, abs=0.01)
 
 
 def test_bands_are_called_by_what_was_measured_on_surveys_left_out():

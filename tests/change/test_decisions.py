@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, paper_score
+from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features, paper_score
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.rules import decide
@@ -158,7 +158,8 @@ def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():
     def decided(volume):
         bounds = replace(SAME, height_bounds=Interval(0.0, 0.0), volume_bounds=volume)
         decision = decide(Semantic.BUILDING, True, True, bounds, 0.03, CONFIG)
-        return decision, confidence(decision, bounds, Semantic.BUILDING, 0.9, ConfidenceConfig())
+        found = features(decision, bounds, Semantic.BUILDING, 0.9)
+        return decision, confidence(decision, found, bounds, ConfidenceConfig())
 
     straddling, doubtful = decided(Interval(2.0, 12.0))
     clear, sure = decided(Interval(-1.0, 1.0))
@@ -227,7 +228,7 @@ def test_confidence_never_falls_with_the_margin_or_with_the_size_of_what_was_see
     def trust(config, **changes):
         measures = replace(SAME, delta_v=5.0 if changes["delta_h"] > 0 else 0.0, **changes)
         decision = decide(Semantic.BUILDING, True, True, measures, 0.03, CONFIG)
-        return confidence(decision, measures, Semantic.BUILDING, 0.9, config)
+        return confidence(decision, features(decision, measures, Semantic.BUILDING, 0.9), measures, config)
 
     for config in (shipped, shipped.model_copy(update={"reshaped": steep})):
         assert trust(config, delta_h=0.55) <= trust(config, delta_h=1.0) <= trust(config, delta_h=3.0) <= 1.0

@@ -312,7 +312,7 @@ def decision_features(decision: Decision) -> tuple[float, float]:
 
 
 def probability(decision: Decision, found: Floats, config: ConfidenceConfig) -> float:
-    """Return the probability that a label is right, from :func:`features`; see :func:`confidence`."""
+    """Return the probability that a label is right, from :func:`features`, by its fitted model."""
     kind = kind_of(decision.change)
     return float(expit(1.0 + 2.0 * decision.margin)) if kind is None else _modelled(kind, found, config)
 
@@ -327,19 +327,12 @@ def _modelled(kind: ClaimKind, found: Floats, config: ConfidenceConfig) -> float
     return min(p, 1.0 - config.unseen * hidden**2)
 
 
-def confidence(
-    decision: Decision, measures: Measures, semantic: Semantic, class_score: float, config: ConfidenceConfig
-) -> float:
-    """Return the probability that the label is right; for a place not observed, how much was not."""
-    return bounded(
-        probability(decision, features(decision, measures, semantic, class_score), config),
-        decision,
-        measures,
-        config,
-    )
+def confidence(decision: Decision, found: Floats, measures: Measures, config: ConfidenceConfig) -> float:
+    """Return the probability that a label is right, from :func:`features`, bounded by its evidence."""
+    return _bounded(probability(decision, found, config), decision, measures, config)
 
 
-def bounded(fitted: float, decision: Decision, measures: Measures, config: ConfidenceConfig) -> float:
+def _bounded(fitted: float, decision: Decision, measures: Measures, config: ConfidenceConfig) -> float:
     """Bound a confidence by what the evidence can show at most.
 
     An object of one epoch: by how surely its place was free in the other. A building of both: by the

@@ -10,7 +10,7 @@ import numpy as np
 
 from subiaco_change.association.matching import Match, associate
 from subiaco_change.decisions.column_volumes import OpenGround, ground_columns
-from subiaco_change.decisions.confidence import ConfidenceConfig, bounded, features, paper_score, probability
+from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features, paper_score
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
@@ -167,7 +167,7 @@ def make_record(
     score = float(np.mean([t.score for t in objects]))
     density = change.plant.density if change.plant else density_ratio(change.before, change.after, around)
     found = features(change.decision, m, change.semantic, score, density, evidence)
-    certain = bounded(probability(change.decision, found, trust), change.decision, m, trust)
+    certain = confidence(change.decision, found, m, trust)
     certain, reason = limit_confidence(change.decision, objects, certain, rules, m.free)
     certain, reason = limit_in_lane(change.decision.change, change.in_lane, certain, reason, rules)
     if change.doubt and change.decision.change in ONE_EPOCH:

@@ -138,9 +138,8 @@ class SemanticResult:
 
     ``semantic`` (N,) uint8; ``scores`` (N, 5) float32, rows sum to 1;
     ``height_above_ground`` (N,) float32 [m]; ``ground`` in the cloud's local
-    frame; ``superpoint`` (N,) int32; ``energy`` of the partition; ``moving`` (N,)
-    bool, the part of *mobile* that is the trail of something that moved; ``large``
-    (N,) bool, the trucks and buses among *mobile*, beyond the paper's box.
+    frame; ``superpoint`` (N,) int32; ``moving`` (N,) bool, the part of *mobile*
+    that is the trail of something that moved.
     """
 
     semantic: NDArray[np.uint8]
@@ -148,9 +147,7 @@ class SemanticResult:
     height_above_ground: NDArray[np.float32]
     ground: GroundModel
     superpoint: NDArray[np.int32]
-    energy: float
     moving: Mask
-    large: Mask
 
 
 def label_points(
@@ -184,7 +181,7 @@ def label_points(
     features = compute_features(xyz, config.features)
     parts = partition(_superpoint_features(features, height, config), features.neighbours, config.superpoints)
     beams = [None if b is None else np.asarray(b, dtype=np.float64)[order] for b in (passed, moved)]
-    semantic, moving, large = _classify(xyz, height, features, parts.labels, ground, beams, config)
+    semantic, moving = _classify(xyz, height, features, parts.labels, ground, beams, config)
     scores = _scores(semantic, features)
     back = np.argsort(order, kind="stable")
     return SemanticResult(
@@ -193,9 +190,7 @@ def label_points(
         height[back].astype(np.float32),
         ground,
         parts.labels[back].astype(np.int32),
-        parts.energy,
         moving[back],
-        large[back],
     )
 
 
@@ -212,8 +207,8 @@ def _classify(
     ground: GroundModel,
     beams: Sequence[Floats | None],
     config: SemanticsConfig,
-) -> tuple[NDArray[np.uint8], Mask, Mask]:
-    """Apply the classes in the order of their priority; the rest is *other*. Tell trails and trucks."""
+) -> tuple[NDArray[np.uint8], Mask]:
+    """Apply the classes in the order of their priority; the rest is *other*. Tell trails too."""
     semantic = np.full(len(xyz), Semantic.OTHER, dtype=np.uint8)
     is_ground = _find_ground(xyz, height, features, parts, ground, config)
     semantic[is_ground] = Semantic.GROUND
@@ -252,7 +247,7 @@ def _classify(
     level = np.abs(features.normals[:, 2]) > config.level
     semantic = release_false_vehicles(xyz, height, foliage, semantic, moving, level, config.vehicles)
     semantic = with_edges(xyz, height, semantic, moving, config.vehicles)
-    return semantic, moving, trucks & (semantic == Semantic.MOBILE)
+    return semantic, moving
 
 
 def _reach(features: Features, config: SemanticsConfig) -> Floats:
