@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig, difference_cells, shown_lod
 from subiaco_change.decisions.ground_change import GroundComparison, find_patches
-from subiaco_change.decisions.voxel_objects import EpochView
 from subiaco_change.level_of_detection.alignment_corrections import (
     PlacingConfig,
     VerticalBiasConfig,
@@ -27,6 +26,7 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
     join_samples,
     sigma_of,
 )
+from subiaco_change.objects.voxel_objects import EpochView
 from subiaco_change.records import Registration
 from subiaco_change.tiling.alignment import TileLods, city_grid, load_sigma
 from subiaco_change.tiling.epoch_tiles import EPOCHS, EpochContext

@@ -14,7 +14,7 @@ import open3d as o3d
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.object_comparison import compare_objects
-from subiaco_change.decisions.voxel_objects import OTHERS, EpochView
+from subiaco_change.objects.voxel_objects import OTHERS, EpochView
 from subiaco_change.tiling.decision_stages import object_rules, with_evidence
 from subiaco_change.visibility_evidence import EvidenceConfig, make_observer
 from subiaco_geo.clouds import PointCloud

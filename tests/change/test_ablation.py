@@ -5,14 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.config import AssociationConfig, PartConfig
 from subiaco_change.config import ChangeConfig, with_parts_disabled
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_comparison import compare_objects
 from subiaco_change.decisions.object_decision import ObjectRules
-from subiaco_change.decisions.voxel_objects import EpochView, Reach
-from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
+from subiaco_change.objects.measures import MeasureConfig
+from subiaco_change.objects.voxel_objects import EpochView, Reach
 from subiaco_change.segmentation.instances import InstanceConfig
 from subiaco_change.strategies import Classified, Part, PointComparison, choose_strategies
 from subiaco_geo.clouds import PointCloud

@@ -10,9 +10,9 @@ from scipy.special import expit, logit
 from test_decisions import CONFIG, SAME
 
 from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features
-from subiaco_change.decisions.measures import absence, opacity, pooled, porous_chance
 from subiaco_change.decisions.rules import decide
-from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.objects.measures import absence, opacity, pooled, porous_chance
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.codes import Change, Semantic
 

@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from subiaco_change.association.costs import AssociationConfig, candidate_costs
+from subiaco_change.association.config import AssociationConfig
+from subiaco_change.association.costs import candidate_costs
 from subiaco_change.association.matching import assign, associate
 from subiaco_change.decisions.object_decision import object_lod
-from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Semantic
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object
-from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.objects.measures import MeasureConfig
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.decisions.column_volumes import (
+from subiaco_change.decisions.config import DecisionConfig
+from subiaco_change.decisions.rules import decide
+from subiaco_change.objects.column_volumes import (
     BUILT_UP,
     NO_COLUMNS,
     OpenGround,
     compare_volumes,
     exists_in_one_epoch,
 )
-from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import MeasureConfig, measure
-from subiaco_change.decisions.rules import decide
-from subiaco_change.decisions.voxel_objects import Voxels
+from subiaco_change.objects.measures import MeasureConfig, measure
+from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.codes import Change, Semantic
 
 CELL, CLOSING = 0.5, 1.5

@@ -23,9 +23,9 @@ from subiaco_change.decisions.confidence import (
     rows_of_pair,
 )
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.rules import Decision, decide
-from subiaco_change.decisions.space_carving import Interval
+from subiaco_change.objects.measures import Measures
+from subiaco_change.objects.space_carving import Interval
 from subiaco_change.records import ChangeRecord
 from subiaco_evaluation.confidence_fit import fit, fit_confidence, measured_bands
 from subiaco_geo.codes import Change, Semantic

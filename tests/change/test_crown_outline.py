@@ -7,7 +7,7 @@ import pytest
 from test_measures import voxels
 
 from subiaco_change.decisions.plant_measures import OutlineConfig, beyond_outline, compare_outlines
-from subiaco_change.decisions.voxel_objects import Voxels
+from subiaco_change.objects.voxel_objects import Voxels
 
 
 def crown(count, radius, seed, side=None):

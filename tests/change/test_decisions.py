@@ -8,9 +8,9 @@ import pytest
 
 from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features, paper_score
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.rules import decide
-from subiaco_change.decisions.space_carving import Interval
+from subiaco_change.objects.measures import Measures
+from subiaco_change.objects.space_carving import Interval
 from subiaco_geo.codes import Change, Semantic
 
 SAME = Measures(

@@ -13,18 +13,20 @@ from test_one_epoch_parts import obj
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
-    contrast_with_ground,
-    doubt_of_porous,
-    hides_no_ground,
-    is_moving_object_trail,
-    is_strip_on_road,
+    decide_moving_object_trail,
     limit_confidence,
-    may_be_a_person,
     own_epoch_evidence,
-    shows_no_side,
 )
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import OTHERS, EpochView, ObjectInstance
+from subiaco_change.decisions.trail_shapes import (
+    contrast_with_ground,
+    decide_by_ground_beneath,
+    decide_by_side,
+    decide_person_on_the_way,
+    decide_strip_on_road,
+    doubt_of_porous,
+)
+from subiaco_change.objects.voxel_objects import OTHERS, EpochView, ObjectInstance
 from subiaco_geo.codes import Change, Semantic
 
 RULES = DecisionConfig()
@@ -72,7 +74,7 @@ def passing(top, passed):
     ],
 )
 def test_what_passed_is_told_from_what_beams_graze(passed, top, semantic, observed, trail):
-    decision = is_moving_object_trail(
+    decision = decide_moving_object_trail(
         [passing(top, passed)], semantic, OwnEpochEvidence(observed, NOWHERE), RULES
     )
     assert (decision is not None) == trail
@@ -87,15 +89,16 @@ def test_what_lies_in_the_lane_of_known_traffic_needs_fewer_beams():
     beside = OwnEpochEvidence(
         nowhere, cKDTree(np.add(places.xyz, (0.0, 2.0, 0.0)))
     )  # half of it is within a metre
-    assert is_moving_object_trail([places], Semantic.VEGETATION, along, RULES) is not None
-    assert is_moving_object_trail([places], Semantic.VEGETATION, beside, RULES) is None
-    assert is_moving_object_trail([passing(1.5, 1.0)], Semantic.VEGETATION, along, RULES) is None
+    assert decide_moving_object_trail([places], Semantic.VEGETATION, along, RULES) is not None
+    assert decide_moving_object_trail([places], Semantic.VEGETATION, beside, RULES) is None
+    assert decide_moving_object_trail([passing(1.5, 1.0)], Semantic.VEGETATION, along, RULES) is None
 
 
 def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
     parts = [passing(1.5, 9.0), passing(1.5, 0.5)]
     assert (
-        is_moving_object_trail(parts, Semantic.MOBILE, OwnEpochEvidence(everywhere, NOWHERE), RULES) is None
+        decide_moving_object_trail(parts, Semantic.MOBILE, OwnEpochEvidence(everywhere, NOWHERE), RULES)
+        is None
     )
 
 
@@ -118,8 +121,8 @@ def timed(moved: float, count: int = 60) -> ObjectInstance:
 
 def test_a_verdict_by_times_takes_the_place_of_counts() -> None:
     looked_through = replace(timed(0.0), passed=np.full(60, 500.0))
-    assert is_moving_object_trail([looked_through], Semantic.VEGETATION, None, RULES) is None
-    decision = is_moving_object_trail([timed(0.95)], Semantic.VEGETATION, None, RULES)
+    assert decide_moving_object_trail([looked_through], Semantic.VEGETATION, None, RULES) is None
+    decision = decide_moving_object_trail([timed(0.95)], Semantic.VEGETATION, None, RULES)
     assert decision is not None
     assert decision.change is Change.NOT_REPORTED
     assert "95% of having moved" in decision.reason
@@ -127,14 +130,14 @@ def test_a_verdict_by_times_takes_the_place_of_counts() -> None:
 
 def test_counts_decide_where_one_part_has_no_times_and_the_reason_says_so() -> None:
     counted = replace(timed(0.0), moved=np.zeros(0), passed=np.full(60, 500.0))
-    decision = is_moving_object_trail([counted], Semantic.VEGETATION, None, RULES)
+    decision = decide_moving_object_trail([counted], Semantic.VEGETATION, None, RULES)
     assert decision is not None
     assert "the map keeps no times" in decision.reason
 
 
 @pytest.mark.parametrize(("moved", "claimed"), [(0.0, True), (0.45, True), (0.5, False), (0.55, False)])
 def test_what_is_as_likely_a_trail_as_an_object_is_not_claimed(moved: float, claimed: bool) -> None:
-    decision = is_moving_object_trail([timed(moved)], Semantic.VEGETATION, None, RULES)
+    decision = decide_moving_object_trail([timed(moved)], Semantic.VEGETATION, None, RULES)
     assert (decision is None) == claimed
     if decision is not None:
         assert decision.change is Change.UNOBSERVED
@@ -166,7 +169,7 @@ def test_a_lowered_confidence_names_only_doubts_that_do_not_round_to_zero(moved,
 
 @given(moved=st.floats(0.0, 1.0), free=st.floats(0.5, 1.0))
 def test_a_change_needs_an_object_that_stood_and_a_place_that_was_free(moved: float, free: float) -> None:
-    decision = is_moving_object_trail([timed(moved)], Semantic.VEGETATION, None, RULES, free)
+    decision = decide_moving_object_trail([timed(moved)], Semantic.VEGETATION, None, RULES, free)
     assert (decision is None) == (1.0 - (1.0 - moved) * free < RULES.trail_uncertain)
     claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
     certain, _ = limit_confidence(claim, [timed(moved)], 0.9, RULES, free)
@@ -176,7 +179,7 @@ def test_a_change_needs_an_object_that_stood_and_a_place_that_was_free(moved: fl
 
 
 def test_the_reason_says_that_movement_and_free_space_together_leave_too_much_doubt() -> None:
-    decision = is_moving_object_trail([timed(0.45)], Semantic.VEGETATION, None, RULES, 0.85)
+    decision = decide_moving_object_trail([timed(0.45)], Semantic.VEGETATION, None, RULES, 0.85)
     assert decision is not None
     assert decision.change is Change.UNOBSERVED
     assert (
@@ -188,11 +191,11 @@ def test_a_wall_higher_than_any_vehicle_did_not_pass_however_briefly_it_was_seen
     brief = timed(0.5)
     heights = np.linspace(0.3, 5.3, len(brief.voxels.height))
     wall = replace(brief, voxels=replace(brief.voxels, height=heights))
-    assert is_moving_object_trail([wall], Semantic.BUILDING, None, RULES) is None
+    assert decide_moving_object_trail([wall], Semantic.BUILDING, None, RULES) is None
     claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
     assert limit_confidence(claim, [wall], 0.9, RULES) == (0.9, claim.reason)
     bus = replace(brief, voxels=replace(brief.voxels, height=0.7 * heights))
-    assert is_moving_object_trail([bus], Semantic.BUILDING, None, RULES) is not None
+    assert decide_moving_object_trail([bus], Semantic.BUILDING, None, RULES) is not None
 
 
 def test_a_part_of_a_building_that_was_seen_briefly_is_no_vehicle() -> None:
@@ -202,10 +205,10 @@ def test_a_part_of_a_building_that_was_seen_briefly_is_no_vehicle() -> None:
     house = np.column_stack([np.full(30, 0.4), np.zeros(30), np.linspace(0, 3, 30)])
     for distance, moved in ((0.0, None), (3.0, Change.UNOBSERVED)):
         own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(np.add(house, (distance, 0, 0))), np.full(30, 77))
-        decision = is_moving_object_trail([part], Semantic.BUILDING, own, RULES)
+        decision = decide_moving_object_trail([part], Semantic.BUILDING, own, RULES)
         assert (None if decision is None else decision.change) is moved
     own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(house), np.full(30, part.instance))
-    assert is_moving_object_trail([part], Semantic.BUILDING, own, RULES) is not None
+    assert decide_moving_object_trail([part], Semantic.BUILDING, own, RULES) is not None
 
 
 #: Ground points half a metre apart.
@@ -229,9 +232,11 @@ def test_a_strip_longer_than_any_vehicle_on_a_road_that_was_seen_beneath_it_is_a
     under = (ROAD >= 0).all(axis=1) & (ROAD[:, 0] <= length) & (ROAD[:, 1] <= width)
     own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD[~under] if hidden else ROAD))
     strip = [obj([(block((0.0, 0.0, 0.3), (length, width, top)), False)])]
-    decision = is_strip_on_road(strip, own, RULES)
+    decision = decide_strip_on_road(strip, own, RULES)
     assert (decision is not None and decision.change is Change.NOT_REPORTED) == trail
-    assert is_strip_on_road(strip, OwnEpochEvidence(nowhere, NOWHERE), RULES) is None, "beams were counted"
+    assert decide_strip_on_road(strip, OwnEpochEvidence(nowhere, NOWHERE), RULES) is None, (
+        "beams were counted"
+    )
 
 
 def strip(xy, low, high):
@@ -271,10 +276,10 @@ def test_nothing_is_claimed_of_a_strip_as_thin_and_tall_as_a_person_where_nothin
     places, low, high, semantic, doubted
 ):
     bare = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD))
-    decision = may_be_a_person(strip(places, low, high), semantic, bare)
+    decision = decide_person_on_the_way(strip(places, low, high), semantic, bare)
     assert (decision is not None and decision.change is Change.UNOBSERVED) == doubted
     counted = OwnEpochEvidence(nowhere, NOWHERE)
-    assert may_be_a_person(strip(places, low, high), semantic, counted) is None
+    assert decide_person_on_the_way(strip(places, low, high), semantic, counted) is None
 
 
 ASPHALT = np.stack(np.meshgrid(np.arange(-3, 9, 0.25), np.arange(-4, 6, 0.25)), axis=-1).reshape(-1, 2)
@@ -336,9 +341,9 @@ def test_what_neither_fills_its_place_nor_hides_the_ground_beneath_is_doubted(
 def test_what_has_few_points_and_hides_none_of_the_ground_is_not_claimed(
     fill, top, semantic, hidden, seen_through
 ):
-    decision = hides_no_ground(contrast(fill, top, semantic, on_asphalt(hidden)))
+    decision = decide_by_ground_beneath(contrast(fill, top, semantic, on_asphalt(hidden)))
     assert (decision is not None and decision.change is Change.UNOBSERVED) == seen_through
-    assert hides_no_ground(contrast(fill, top, semantic, COUNTED)) is None
+    assert decide_by_ground_beneath(contrast(fill, top, semantic, COUNTED)) is None
 
 
 @pytest.mark.parametrize(
@@ -365,18 +370,20 @@ def test_what_has_few_points_and_hides_none_of_the_ground_is_not_claimed(
 def test_what_has_fewer_points_than_one_of_its_sides_on_ground_that_was_seen_is_not_claimed(
     fill, top, semantic, hidden, told
 ):
-    decision = shows_no_side(contrast(fill, top, semantic, on_asphalt(hidden)))
+    decision = decide_by_side(contrast(fill, top, semantic, on_asphalt(hidden)))
     assert (decision is not None and decision.change is Change.UNOBSERVED) == told
-    assert shows_no_side(contrast(fill, top, semantic, COUNTED)) is None
+    assert decide_by_side(contrast(fill, top, semantic, COUNTED)) is None
 
 
 def test_a_planted_row_that_hides_the_ground_is_no_person():
     places = walked(0.45)
     hidden = cKDTree(places).query(ROAD)[0] < 0.3
     row = strip(places, 0.1, 1.8)
-    assert may_be_a_person(row, Semantic.VEGETATION, OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD)))
+    assert decide_person_on_the_way(
+        row, Semantic.VEGETATION, OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD))
+    )
     planted = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD[~hidden]))
-    assert may_be_a_person(row, Semantic.VEGETATION, planted) is None
+    assert decide_person_on_the_way(row, Semantic.VEGETATION, planted) is None
 
 
 def test_the_ground_beneath_objects_is_evidence_only_where_nothing_counted_beams():

@@ -8,7 +8,7 @@ from scenes import Scene, ground_z
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.point_labels import unlabelled
-from subiaco_change.decisions.voxel_objects import EpochView, Reach, build_voxels
+from subiaco_change.objects.voxel_objects import EpochView, Reach, build_voxels
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.instances import InstanceConfig, segment
 from subiaco_change.visibility_evidence import EvidenceConfig, make_observer

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import beyond_gate, ground_raster
-from subiaco_change.decisions.voxel_objects import EpochView
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.voxel_objects import EpochView
 from subiaco_geo.codes import Change, Semantic
 
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from test_measures import block, voxels
 
-from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import MeasureConfig, measure
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_measures import measure_plant
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import ObjectInstance
+from subiaco_change.decisions.split_merge import split_hedge_segments
 from subiaco_change.instance_splitting.hedge_sections import changed_sections
-from subiaco_change.instance_splitting.split_merge import split_hedge_segments
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.measures import MeasureConfig, measure
+from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_geo.codes import Change, Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())

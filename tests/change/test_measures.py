@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround, compare_volumes, ground_columns
-from subiaco_change.decisions.measures import MeasureConfig, measure
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.object_decision import ObjectChange
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, observed_on_both_sides
-from subiaco_change.instance_splitting.split_merge import assign_fragments
+from subiaco_change.decisions.split_merge import assign_fragments
+from subiaco_change.objects.column_volumes import NO_COLUMNS, OpenGround, compare_volumes, ground_columns
+from subiaco_change.objects.measures import MeasureConfig, measure
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, observed_on_both_sides
 from subiaco_geo.codes import Change, Semantic
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.decisions.measures import MeasureConfig, measure, same_place
-from subiaco_change.decisions.voxel_objects import NO_OBJECT, EpochView, build_voxels
+from subiaco_change.objects.measures import MeasureConfig, measure, same_place
+from subiaco_change.objects.voxel_objects import NO_OBJECT, EpochView, build_voxels
 from subiaco_geo.codes import Semantic
 
 REACH = same_place(MeasureConfig())

@@ -6,34 +6,31 @@ import numpy as np
 import pytest
 from test_measures import block, voxels, walls
 
-from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.association.config import AssociationConfig, PartConfig
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import MeasureConfig, Measures
 from subiaco_change.decisions.object_decision import (
     ObjectRules,
+    decide_floating_line,
+    decide_misclassified_ground,
     decide_object,
-    is_floating_line,
-    is_misclassified_ground,
 )
-from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.decisions.split_merge import (
+    join_building_extensions,
+    split_multi_body_matches,
+    split_row_houses,
+)
+from subiaco_change.decisions.vehicle_parts import decide_vehicle_part
 from subiaco_change.instance_splitting.building_extensions import (
     find_building_extensions,
     is_smooth_surface,
     rectangularity,
 )
 from subiaco_change.instance_splitting.merged_instances import split_by_bodies
-from subiaco_change.instance_splitting.one_epoch_parts import (
-    PartConfig,
-    decide_vehicle_part,
-    split_one_epoch_parts,
-)
-from subiaco_change.instance_splitting.split_merge import (
-    join_building_extensions,
-    split_multi_body_matches,
-    split_row_houses,
-)
+from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.objects.measures import MeasureConfig, Measures
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
@@ -313,7 +310,7 @@ def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own()
 )
 def test_what_lies_flat_is_left_to_the_ground(semantic, height, flat):
     slab = obj([(block((0, 0, 0), (8, 2, height)), False)])
-    decision = is_misclassified_ground(semantic, [slab])
+    decision = decide_misclassified_ground(semantic, [slab])
     assert (decision is not None) == flat
     assert decision is None or decision.change is Change.NOT_REPORTED
 
@@ -387,7 +384,7 @@ def test_a_part_of_a_vehicle_that_the_other_epoch_only_grazed_is_not_claimed():
 def test_a_low_wall_does_not_lie_flat():
     wall = obj([(block((0, 0, 0), (8, 0.5, 0.5)), False)])
     sideways = replace(wall.voxels, normal=np.tile([0.0, 1.0, 0.0], (len(wall.voxels), 1)))
-    assert is_misclassified_ground(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None
+    assert decide_misclassified_ground(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None
 
 
 def test_a_house_that_lost_most_of_itself_is_one_with_what_is_left_inside_its_outline():
@@ -522,7 +519,7 @@ def test_a_crown_beside_a_house_is_no_wing_and_a_roof_on_it_is_one():
 def test_nothing_is_claimed_of_a_scan_line_that_floats(places, beside, floats):
     line = obj([(block(*places), False)])
     standing = line.xyz if beside is None else np.concatenate([line.xyz, [beside]])
-    decision = is_floating_line([line], standing, DecisionConfig())
+    decision = decide_floating_line([line], standing, DecisionConfig())
     assert (decision is not None) is floats
     if decision is not None:
         assert decision.change is Change.UNOBSERVED

@@ -6,13 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import MeasureConfig, same_place
 from subiaco_change.decisions.object_comparison import compare_objects
 from subiaco_change.decisions.object_decision import ObjectRules
-from subiaco_change.decisions.voxel_objects import EpochView, build_voxels
 from subiaco_change.instance_splitting.places_seen_free import places_seen_free
+from subiaco_change.objects.measures import MeasureConfig, same_place
+from subiaco_change.objects.voxel_objects import EpochView, build_voxels
 from subiaco_geo.codes import Change, Semantic
 
 

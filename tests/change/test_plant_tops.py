@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.decisions.plant_tops import EpochSpace, TopConfig, change_of_tops, expected_top
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.plant_tops import EpochSpace, TopConfig, change_of_tops, expected_top
 from subiaco_change.point_spacing import at_spacing
 
 CONFIG = TopConfig()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from subiaco_change.decisions.point_labels import label_rest, surrounded, unlabelled
-from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.objects.voxel_objects import EpochView
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.codes import Change, Semantic
 

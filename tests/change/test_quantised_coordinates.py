@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from subiaco_change.decisions.ground_cells import GroundChangeConfig, difference_cells
-from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.objects.voxel_objects import EpochView
 from subiaco_change.segmentation.ground_model import GroundConfig, fit_ground
 from subiaco_change.tiling.ground_stage import _RIM, _window
 from subiaco_change.tiling.retiling import near_tile

@@ -15,13 +15,13 @@ from test_dynamic_objects import RULES, passing, timed
 from test_vegetation_null import HEDGE, NULL, TREE
 
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.dynamic_objects import is_moving_object_trail, limit_confidence
+from subiaco_change.decisions.dynamic_objects import decide_moving_object_trail, limit_confidence
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
-from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.rules import NO_LEVEL, decide
-from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.decisions.vegetation_null import no_null
+from subiaco_change.objects.measures import Measures
+from subiaco_change.objects.space_carving import Interval
 from subiaco_change.outputs.table import build_table, table_hash
 from subiaco_geo.codes import Semantic
 
@@ -135,7 +135,7 @@ def test_the_reason_of_any_plant_has_value_limit_and_conclusion(
 @given(moved=st.floats(0.5, 1.0), passed=st.floats(6.0, 200.0))
 def test_the_reason_of_a_trail_has_value_limit_and_conclusion(moved: float, passed: float) -> None:
     for objects in ([timed(moved)], [passing(1.5, passed)]):
-        found = is_moving_object_trail(objects, Semantic.MOBILE, None, RULES)
+        found = decide_moving_object_trail(objects, Semantic.MOBILE, None, RULES)
         if found is not None:
             assert faults(found.reason) == [], found.reason
     claim = decide(*CASES["added"][:3], replace(SAME, new_share=0.8), 0.03, CONFIG)

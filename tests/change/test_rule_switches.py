@@ -11,13 +11,13 @@ import pytest
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig
 from subiaco_change.decisions.ground_change import find_patches
-from subiaco_change.decisions.measures import Measures, porous_chance
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.decisions.rules import decide
-from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.measures import Measures, porous_chance
+from subiaco_change.objects.space_carving import Interval
 from subiaco_change.segmentation.instances import InstanceConfig, split_crowns, split_hedge
 from subiaco_geo.codes import Change, Semantic
 

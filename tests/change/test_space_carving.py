@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from subiaco_change.decisions.config import CarvingConfig
-from subiaco_change.decisions.space_carving import CarvingEpoch, carve
-from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.carving_config import CarvingConfig
+from subiaco_change.objects.space_carving import CarvingEpoch, carve
+from subiaco_change.objects.voxel_objects import Voxels
 
 CELL = 0.5
 LENGTH, DEPTH, TALL = 10.0, 8.0, 3.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from random_houses import Box, Sensor, Street, compare, survey
 
-from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.instance_splitting.merged_instances import changed_houses
+from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.codes import Change
 
 CELL, WIDTH, DEPTH = 0.5, 5.0, 9.0

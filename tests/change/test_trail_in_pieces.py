@@ -12,7 +12,7 @@ from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence
 from subiaco_change.decisions.trail_in_pieces import (
     Surroundings,
     _on_arcs,
-    is_piece_of_trail,
+    decide_piece_of_trail,
     surroundings,
 )
 from subiaco_geo.codes import Change, Semantic
@@ -51,7 +51,7 @@ def holding(pieces, ground=ROAD):
 def decided(piece, own, other=None, semantic=Semantic.VEGETATION, counted=False):
     evidence = OwnEpochEvidence(nowhere, NOWHERE, ground=None if counted else cKDTree(ROAD))
     other = holding(EMPTY) if other is None else other
-    return is_piece_of_trail([obj([(piece, False)])], semantic, evidence, own, other, RULES)
+    return decide_piece_of_trail([obj([(piece, False)])], semantic, evidence, own, other, RULES)
 
 
 @pytest.mark.parametrize("semantic", [Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER])

@@ -11,7 +11,8 @@ from test_measures import block
 from test_one_epoch_parts import obj
 from test_parts_in_other_instances import compared, epoch, plant, share_said
 
-from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, split_one_epoch_parts
+from subiaco_change.association.config import PartConfig
+from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.instance_splitting.trees_over_shrubs import split_trees_over_shrubs
 from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_geo.codes import Change, Semantic

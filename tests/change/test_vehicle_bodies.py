@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from test_occupancy import REACH, car, epoch, everywhere
 
-from subiaco_change.decisions.vehicle_bodies import inside_vehicles
-from subiaco_change.decisions.voxel_objects import build_voxels
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.vehicle_bodies import inside_vehicles
+from subiaco_change.objects.voxel_objects import build_voxels
 from subiaco_geo.codes import Semantic
 
 

@@ -7,10 +7,11 @@ import pytest
 from test_measures import block
 from test_one_epoch_parts import obj
 
-from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import MeasureConfig
-from subiaco_change.decisions.object_decision import ObjectRules, decide_object, goes_on_above, is_top_seen
+from subiaco_change.decisions.object_decision import ObjectRules, decide_object
+from subiaco_change.decisions.view_of_crowns import goes_on_above, is_top_seen
+from subiaco_change.objects.measures import MeasureConfig
 from subiaco_geo.codes import Change, Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())

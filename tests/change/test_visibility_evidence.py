@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.objects.measures import MeasureConfig
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed, make_observer
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import InputError

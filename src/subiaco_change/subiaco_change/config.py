@@ -7,17 +7,17 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.confidence import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
-from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.given_classes import GivenClassesConfig
 from subiaco_change.input_checks import InputCheckConfig
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig
 from subiaco_change.method_rules import known_rules
+from subiaco_change.objects.measures import MeasureConfig
 from subiaco_change.point_spacing import SpacingConfig
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.segmentation.classes import SemanticsConfig

@@ -23,7 +23,7 @@ from subiaco_geo.frames import Floats
 
 if TYPE_CHECKING:
     from subiaco_change.config import ChangeConfig
-    from subiaco_change.decisions.measures import MeasureConfig
+    from subiaco_change.objects.measures import MeasureConfig
 
 _NEIGHBOURS = NUMBERS.spacing.neighbours
 _SAMPLE = NUMBERS.spacing.sample

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.voxel_objects import EpochView, Reach, occupied
 from subiaco_change.level_of_detection.displacement_lod import combine
+from subiaco_change.objects.voxel_objects import EpochView, Reach, occupied
 from subiaco_change.segmentation.classes import SemanticResult
 from subiaco_change.segmentation.clustering import voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.measures import oriented_rectangle, rectangle_iou
-from subiaco_change.decisions.voxel_objects import ObjectInstance
-from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
+from subiaco_change.objects.measures import oriented_rectangle, rectangle_iou
+from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_geo.codes import Semantic
-from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 #: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
@@ -26,89 +24,6 @@ _PHI_REACH = NUMBERS.costs.intersection_reach
 _STILL = (Semantic.BUILDING, Semantic.VEGETATION)
 #: A scipy sparse array; scipy has no types.
 Sparse = Any
-
-
-class AssociationConfig(StrictModel):
-    """Gates, scales and prices of the assignment."""
-
-    gate_distance: float = Field(
-        2.0, gt=0, description="Largest centroid distance of two objects that may be matched [m] (paper)"
-    )
-    gate_overlap: float = Field(
-        0.3,
-        gt=0,
-        le=1,
-        description="Footprint intersection over union from which two objects may be matched at any "
-        "distance [1] (Decision 8)",
-    )
-    spread_distance: float = Field(
-        1.0,
-        gt=0,
-        description="Standard deviation of the centroid of one object between two epochs [m] (Decision 11)",
-    )
-    spread_relative: float = Field(
-        0.15, ge=0, description="Additional standard deviation of the centroid per metre of object size [m/m]"
-    )
-    spread_overlap: float = Field(
-        0.35,
-        gt=0,
-        description="Standard deviation of 1 - footprint intersection over union for one object in two "
-        "epochs [1]",
-    )
-    histogram_bins: int = Field(10, ge=2, description="Number of bins of the height histogram (paper)")
-    spread_histogram: float = Field(
-        0.35,
-        gt=0,
-        description="Standard deviation of the height histogram distance for one object in two epochs [1]",
-    )
-    cost: Literal["scaled", "plain"] = Field(
-        "scaled",
-        description="Matching cost: scaled sums squared differences over their standard deviations; plain "
-        "uses the paper's weights 1, 2, 0.5 (Decision 11)",
-    )
-    kappa: float = Field(
-        0.0,
-        ge=0,
-        description="Weight of phi = max(0, LoD95 - d_perp) in the plain matching cost [1/m]; the paper "
-        "uses 2 (Decision 8)",
-    )
-    unmatched: float = Field(
-        6.0,
-        gt=0,
-        description="Cost of leaving one object unmatched, on the chi-square scale [1]; raise it for more "
-        "matches",
-    )
-    contained: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="Fraction of the voxels of a fragment that must lie inside an object for the two to "
-        "be joined (Decision 9)",
-    )
-    place_free: float = Field(
-        0.6,
-        gt=0,
-        le=1,
-        description="Fraction of the observed place of a building or plant that was free in the other "
-        "survey, from which it has no partner beside that place [1]",
-    )
-    parts: PartConfig = PartConfig()
-    apart: float = Field(
-        0.15,
-        gt=0,
-        le=1,
-        description="Fraction of a match from which one of several fragments may be a separate object",
-    )
-    stacked: float = Field(
-        0.3, ge=0, le=1, description="Fraction of common columns from which two fragments are one object"
-    )
-    same_place: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="Fraction of common voxels from which two objects of different classes are one object "
-        "(method C6)",
-    )
 
 
 def candidate_costs(

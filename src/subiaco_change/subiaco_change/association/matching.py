@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
-from subiaco_change.association.costs import AssociationConfig, Sparse, candidate_costs, overlap_counts
-from subiaco_change.decisions.voxel_objects import ObjectInstance
+from subiaco_change.association.config import AssociationConfig
+from subiaco_change.association.costs import Sparse, candidate_costs, overlap_counts
+from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_change.segmentation.clustering import connect
 from subiaco_geo.frames import Floats, Ints
 

@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import Field
 from scipy.special import expit, ndtr
 
-from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.objects.measures import Measures
 from subiaco_change.records import ChangeRecord
 from subiaco_change.visibility_evidence import KINDS
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic

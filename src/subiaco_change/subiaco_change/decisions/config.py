@@ -1,4 +1,4 @@
-"""Settings of the decisions: limits of every class, and the cells of space carving."""
+"""Settings of the decisions: limits of every class."""
 
 from __future__ import annotations
 
@@ -233,52 +233,4 @@ class DecisionConfig(StrictModel):
         3,
         ge=1,
         description="Number of observed voxels above the foot of an object below which no change is claimed",
-    )
-
-
-class CarvingConfig(StrictModel):
-    """Cells of the space carving of buildings."""
-
-    cell: float = Field(
-        0.5,
-        gt=0,
-        description="Edge of the cells of space carving [m]; smaller cells cost memory, larger cells blur "
-        "walls",
-    )
-    max_cells: int = Field(
-        400_000,
-        gt=1000,
-        description="Largest number of cells of one object; larger objects are carved with larger cells",
-    )
-    thickness: int = Field(
-        2,
-        ge=1,
-        description="Smallest extent of a change of volume [cells]; thinner changes are noise of surfaces",
-    )
-    support: int = Field(
-        6,
-        ge=1,
-        description="Number of voxels of changed surface that a changed volume must have; fewer make no "
-        "claim",
-    )
-    room: float = Field(
-        2.2, gt=0, description="Smallest height of walls that enclose a volume [m]; lower walls are fences"
-    )
-    wall_gap: float = Field(
-        6.0,
-        ge=0,
-        description="Longest gap between observed pieces of one wall that is closed along the wall [m]",
-    )
-    capped: float = Field(
-        0.3,
-        ge=0,
-        le=1,
-        description="Fraction of columns with free space above their top from which the height rests on "
-        "these columns alone; raise it for wider height bounds",
-    )
-    roof_gap: float = Field(
-        1.25,
-        ge=0,
-        description="Largest distance from an observed top to the free space above at which the observed "
-        "top is the top of the column [m]",
     )

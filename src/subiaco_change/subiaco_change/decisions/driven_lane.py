@@ -19,9 +19,9 @@ from shapely import MultiPoint, contains_xy
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import Moved, Observed, fits_a_vehicle
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
+from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats

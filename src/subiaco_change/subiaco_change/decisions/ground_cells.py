@@ -10,10 +10,10 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView, is_ghost_trail
 from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
+from subiaco_change.objects.voxel_objects import UNCERTAIN, EpochView, is_ghost_trail
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel

@@ -11,10 +11,10 @@ from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
-from subiaco_change.decisions.voxel_objects import EpochView
 from subiaco_change.geometry import outline_of_cells
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, never, switchable
+from subiaco_change.objects.voxel_objects import EpochView
 from subiaco_change.records import GroundChange
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic

@@ -9,28 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from subiaco_change.association.matching import Match, associate
-from subiaco_change.decisions.column_volumes import OpenGround, ground_columns
 from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features, paper_score
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
-from subiaco_change.decisions.measures import footprint, same_place
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
-from subiaco_change.decisions.voxel_objects import (
-    EpochView,
-    ObjectInstance,
-    Reach,
-    Voxels,
-    build_instances,
-    build_voxels,
-    is_standing,
-    join_voxels,
-)
-from subiaco_change.instance_splitting.building_extensions import classify_low_parts
-from subiaco_change.instance_splitting.felled_crowns import split_felled_crowns
-from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
-from subiaco_change.instance_splitting.places_seen_free import places_seen_free
-from subiaco_change.instance_splitting.split_merge import (
+from subiaco_change.decisions.split_merge import (
     assign_fragments,
     join_building_extensions,
     join_hidden_walls,
@@ -40,7 +24,23 @@ from subiaco_change.instance_splitting.split_merge import (
     split_row_houses,
     unify_classes,
 )
+from subiaco_change.instance_splitting.building_extensions import classify_low_parts
+from subiaco_change.instance_splitting.felled_crowns import split_felled_crowns
+from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
+from subiaco_change.instance_splitting.places_seen_free import places_seen_free
 from subiaco_change.instance_splitting.trees_over_shrubs import split_trees_over_shrubs
+from subiaco_change.objects.column_volumes import OpenGround, ground_columns
+from subiaco_change.objects.measures import footprint, same_place
+from subiaco_change.objects.voxel_objects import (
+    EpochView,
+    ObjectInstance,
+    Reach,
+    Voxels,
+    build_instances,
+    build_voxels,
+    is_standing,
+    join_voxels,
+)
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import ONE_EPOCH, Semantic

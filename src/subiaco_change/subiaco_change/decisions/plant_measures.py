@@ -17,14 +17,14 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
-from subiaco_change.decisions.measures import Measures, absence, mean_certainty, pooled
-from subiaco_change.decisions.plant_tops import EpochSpace, TopChange, TopConfig, change_of_tops
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
-from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
 from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
+from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
+from subiaco_change.objects.plant_tops import EpochSpace, TopChange, TopConfig, change_of_tops
+from subiaco_change.objects.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
-from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
 from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
+from subiaco_change.objects.voxel_objects import EpochView, is_ghost_trail
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from subiaco_change.decisions.config import BuildingLimits, DecisionConfig
-from subiaco_change.decisions.measures import Measures
-from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, switchable
+from subiaco_change.objects.measures import Measures
+from subiaco_change.objects.space_carving import Interval
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 
 _EXACT = NUMBERS.rules.least_half_width

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_vehicle, strip_of
+from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_vehicle
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import NO_OBJECT, ObjectInstance, Voxels, join_voxels
+from subiaco_change.decisions.trail_shapes import strip_of
 from subiaco_change.geometry import in_box_around, lies_near
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
+from subiaco_change.objects.voxel_objects import NO_OBJECT, ObjectInstance, Voxels, join_voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
@@ -48,10 +49,10 @@ _TALLER = NUMBERS.trail_in_pieces.taller
 _ROAD = NUMBERS.trail_in_pieces.road
 _HELD = NUMBERS.trail_in_pieces.held
 _LOW, _TOP = NUMBERS.trail_in_pieces.low, NUMBERS.trail_in_pieces.high
-_NARROW = NUMBERS.dynamic_objects.strip_width
-_WIDEST = NUMBERS.dynamic_objects.trail_width
-_LENGTH = NUMBERS.dynamic_objects.strip_length
-_VEHICLE = NUMBERS.dynamic_objects.trail_length
+_NARROW = NUMBERS.trail_shapes.strip_width
+_WIDEST = NUMBERS.trail_shapes.trail_width
+_LENGTH = NUMBERS.trail_shapes.strip_length
+_VEHICLE = NUMBERS.trail_in_pieces.trail_length
 _PLACES = NUMBERS.trail_in_pieces.places
 _PLACE = NUMBERS.trail_in_pieces.place_radius
 _TOP_SHARE = NUMBERS.trail_in_pieces.top_share
@@ -126,7 +127,7 @@ class _Row:
 
 
 @switchable("trail_in_pieces", no_decision)
-def is_piece_of_trail(
+def decide_piece_of_trail(
     objects: Sequence[ObjectInstance],
     semantic: Semantic,
     own: OwnEpochEvidence | None,

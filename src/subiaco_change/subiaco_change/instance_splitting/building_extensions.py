@@ -11,12 +11,12 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
-from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.association.config import PartConfig
 from subiaco_change.geometry import in_box_around
-from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
+from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
 

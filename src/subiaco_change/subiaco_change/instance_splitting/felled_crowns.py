@@ -15,7 +15,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import binom
 
-from subiaco_change.decisions.voxel_objects import (
+from subiaco_change.instance_splitting.one_epoch_parts import join_parts, split_by_labels, with_free
+from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_change.objects.voxel_objects import (
     EpochView,
     ObjectInstance,
     Reach,
@@ -23,9 +26,6 @@ from subiaco_change.decisions.voxel_objects import (
     is_ghost_trail,
     join_voxels,
 )
-from subiaco_change.instance_splitting.one_epoch_parts import join_parts, split_by_labels, with_free
-from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic

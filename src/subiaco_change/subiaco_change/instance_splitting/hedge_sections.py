@@ -10,10 +10,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.plant_tops import TopConfig, open_above
-from subiaco_change.decisions.voxel_objects import Free, ObjectInstance
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, switchable
+from subiaco_change.objects.plant_tops import TopConfig, open_above
+from subiaco_change.objects.voxel_objects import Free, ObjectInstance
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.hedge_sections.cell

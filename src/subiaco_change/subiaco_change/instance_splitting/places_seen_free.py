@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from subiaco_change.decisions.vehicle_bodies import inside_vehicles
-from subiaco_change.decisions.voxel_objects import (
+from subiaco_change.geometry import tree_for_few
+from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import none_of_them, switchable
+from subiaco_change.objects.vehicle_bodies import inside_vehicles
+from subiaco_change.objects.voxel_objects import (
     EpochView,
     Free,
     Reach,
@@ -18,9 +21,6 @@ from subiaco_change.decisions.voxel_objects import (
     is_standing,
     occupied_by_ground,
 )
-from subiaco_change.geometry import tree_for_few
-from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats

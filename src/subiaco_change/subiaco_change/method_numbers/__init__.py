@@ -36,7 +36,9 @@ from subiaco_change.method_numbers.decision_numbers import (
     SpaceCarvingNumbers,
     StoreysNumbers,
     TrailInPiecesNumbers,
+    TrailShapesNumbers,
     VegetationNullNumbers,
+    ViewOfCrownsNumbers,
     VoxelObjectsNumbers,
 )
 from subiaco_change.method_numbers.registration_numbers import (
@@ -96,7 +98,9 @@ class MethodNumbers(StrictModel):
     space_carving: SpaceCarvingNumbers = SpaceCarvingNumbers()
     storeys: StoreysNumbers = StoreysNumbers()
     trail_in_pieces: TrailInPiecesNumbers = TrailInPiecesNumbers()
+    trail_shapes: TrailShapesNumbers = TrailShapesNumbers()
     vegetation_null: VegetationNullNumbers = VegetationNullNumbers()
+    view_of_crowns: ViewOfCrownsNumbers = ViewOfCrownsNumbers()
     voxel_objects: VoxelObjectsNumbers = VoxelObjectsNumbers()
     costs: CostsNumbers = CostsNumbers()
     felled_crowns: FelledCrownsNumbers = FelledCrownsNumbers()

@@ -136,7 +136,7 @@ class RowsOfHousesNumbers(StrictModel):
 
 
 class SplitMergeNumbers(StrictModel):
-    """Numbers of ``instance_splitting/split_merge.py``."""
+    """Numbers of ``decisions/split_merge.py``."""
 
     whole_share: float = Field(
         0.75,
@@ -190,7 +190,7 @@ class TreesOverShrubsNumbers(StrictModel):
 
 
 class VehicleBodiesNumbers(StrictModel):
-    """Numbers of ``decisions/vehicle_bodies.py``."""
+    """Numbers of ``objects/vehicle_bodies.py``."""
 
     width: tuple[float, float] = Field(
         (1.3, 2.9),

@@ -8,7 +8,7 @@ from subiaco_geo.config import StrictModel
 
 
 class AbsenceNumbers(StrictModel):
-    """Numbers of ``decisions/measures.py``."""
+    """Numbers of ``objects/measures.py``."""
 
     least_doubt: float = Field(
         1e-6,
@@ -114,7 +114,7 @@ class BuildingExtensionsNumbers(StrictModel):
 
 
 class ColumnVolumesNumbers(StrictModel):
-    """Numbers of ``decisions/column_volumes.py``."""
+    """Numbers of ``objects/column_volumes.py``."""
 
     one_epoch_share: float = Field(
         0.75,
@@ -169,33 +169,11 @@ class ConfidenceNumbers(StrictModel):
     )
 
 
-class DynamicObjectsNumbers(StrictModel):
-    """Numbers of ``decisions/dynamic_objects.py``."""
-
-    visibility_step: float = Field(
-        0.5,
-        description="Distance beside a surface at which the next voxel of the visibility layer lies [m]",
-    )
-    lane_reach: float = Field(
-        1.0,
-        description="Distance from a known ghost trail within which a point lies in the lane [m]",
-    )
-    lane_share: float = Field(
-        0.9,
-        description="Fraction of the points of an object that must lie in the lane of a ghost trail",
-    )
-    wall_contact: float = Field(
-        1.5,
-        description="Height over which an object touches a building from which the object is a part of the "
-        "building, and no vehicle [m]",
-    )
+class TrailShapesNumbers(StrictModel):
+    """Numbers of ``decisions/trail_shapes.py``."""
 
     trail_width: float = Field(
         2.8, description="Largest width of the ghost trail of a vehicle, or of a row of its pieces [m]"
-    )
-    trail_length: float = Field(
-        6.0,
-        description="Length from which an object wider than a vehicle may hold the trails of two lanes [m]",
     )
     strip_length: float = Field(
         12.0, description="Length from which a strip on the road is longer than a standing vehicle [m]"
@@ -263,9 +241,35 @@ class DynamicObjectsNumbers(StrictModel):
     )
 
 
+class DynamicObjectsNumbers(StrictModel):
+    """Numbers of ``decisions/dynamic_objects.py``."""
+
+    visibility_step: float = Field(
+        0.5,
+        description="Distance beside a surface at which the next voxel of the visibility layer lies [m]",
+    )
+    lane_reach: float = Field(
+        1.0,
+        description="Distance from a known ghost trail within which a point lies in the lane [m]",
+    )
+    lane_share: float = Field(
+        0.9,
+        description="Fraction of the points of an object that must lie in the lane of a ghost trail",
+    )
+    wall_contact: float = Field(
+        1.5,
+        description="Height over which an object touches a building from which the object is a part of the "
+        "building, and no vehicle [m]",
+    )
+
+
 class TrailInPiecesNumbers(StrictModel):
     """Numbers of ``decisions/trail_in_pieces.py``."""
 
+    trail_length: float = Field(
+        6.0,
+        description="Length from which an object wider than a vehicle may hold the trails of two lanes [m]",
+    )
     low: float = Field(
         0.3, description="Height above ground from which a point may belong to a piece of a ghost trail [m]"
     )
@@ -455,22 +459,9 @@ class GroundChangeNumbers(StrictModel):
     )
 
 
-class ObjectDecisionNumbers(StrictModel):
-    """Numbers of ``decisions/object_decision.py``."""
+class ViewOfCrownsNumbers(StrictModel):
+    """Numbers of ``decisions/view_of_crowns.py``."""
 
-    flat_top: float = Field(
-        0.6,
-        description="Largest height of an object without class that may be raised ground [m]",
-    )
-    laid_top: float = Field(
-        0.5,
-        description="Largest height of a supposed vehicle or plant that may be ground [m]; vehicles are "
-        "higher",
-    )
-    level_normal: float = Field(
-        0.75,
-        description="Smallest mean vertical component of normals of misclassified ground, as a ratio",
-    )
     every_view: float = Field(
         2.0, description="Height above ground up to which the view of every survey reaches [m]"
     )
@@ -513,6 +504,24 @@ class ObjectDecisionNumbers(StrictModel):
         description="Fraction of these columns that go on in the other survey from which the view, and not"
         " the plant, may have ended there",
     )
+
+
+class ObjectDecisionNumbers(StrictModel):
+    """Numbers of ``decisions/object_decision.py``."""
+
+    flat_top: float = Field(
+        0.6,
+        description="Largest height of an object without class that may be raised ground [m]",
+    )
+    laid_top: float = Field(
+        0.5,
+        description="Largest height of a supposed vehicle or plant that may be ground [m]; vehicles are "
+        "higher",
+    )
+    level_normal: float = Field(
+        0.75,
+        description="Smallest mean vertical component of normals of misclassified ground, as a ratio",
+    )
     floating: float = Field(
         0.5, description="Height above the ground from which an object that touches nothing floats [m]"
     )
@@ -545,7 +554,7 @@ class PlantMeasuresNumbers(StrictModel):
 
 
 class PlantTopsNumbers(StrictModel):
-    """Numbers of ``decisions/plant_tops.py``."""
+    """Numbers of ``objects/plant_tops.py``."""
 
     student_limit: float = Field(
         0.9987,
@@ -592,7 +601,7 @@ class RulesNumbers(StrictModel):
 
 
 class SpaceCarvingNumbers(StrictModel):
-    """Numbers of ``decisions/space_carving.py``."""
+    """Numbers of ``objects/space_carving.py``."""
 
     horizontal_gap: float = Field(
         0.8,
@@ -665,7 +674,7 @@ class VegetationNullNumbers(StrictModel):
 
 
 class VoxelObjectsNumbers(StrictModel):
-    """Numbers of ``decisions/voxel_objects.py``."""
+    """Numbers of ``objects/voxel_objects.py``."""
 
     brief_probability: float = Field(
         0.5,

@@ -40,11 +40,11 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         "What is higher than the view of the other survey reached is no new or lost surface of a plant whose"
         " top is not seen.",
         (
-            "method_numbers.object_decision.every_view",
-            "method_numbers.object_decision.beside_plant",
-            "method_numbers.object_decision.cut_depth",
-            "method_numbers.object_decision.cut_share",
-            "method_numbers.object_decision.goes_on_share",
+            "method_numbers.view_of_crowns.every_view",
+            "method_numbers.view_of_crowns.beside_plant",
+            "method_numbers.view_of_crowns.cut_depth",
+            "method_numbers.view_of_crowns.cut_share",
+            "method_numbers.view_of_crowns.goes_on_share",
         ),
         guards=True,
     ),
@@ -103,10 +103,10 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         "A strip of one epoch as wide as a vehicle and longer than one is a trail where the road beneath"
         " it was seen.",
         (
-            "method_numbers.dynamic_objects.strip_length",
-            "method_numbers.dynamic_objects.strip_width",
-            "method_numbers.dynamic_objects.road_beneath",
-            "method_numbers.dynamic_objects.trail_width",
+            "method_numbers.trail_shapes.strip_length",
+            "method_numbers.trail_shapes.strip_width",
+            "method_numbers.trail_shapes.road_beneath",
+            "method_numbers.trail_shapes.trail_width",
         ),
         guards=True,
     ),
@@ -125,8 +125,8 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
             "method_numbers.trail_in_pieces.fewest_points",
             "method_numbers.trail_in_pieces.taller",
             "method_numbers.trail_in_pieces.road",
-            "method_numbers.dynamic_objects.strip_length",
-            "method_numbers.dynamic_objects.strip_width",
+            "method_numbers.trail_shapes.strip_length",
+            "method_numbers.trail_shapes.strip_width",
         ),
         guards=True,
     ),
@@ -136,8 +136,8 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         "What neither fills its place nor hides the ground beneath is claimed with a low confidence, in a"
         " cloud without counts of beams: traffic was elsewhere while most beams came.",
         (
-            "method_numbers.dynamic_objects.opaque_points",
-            "method_numbers.dynamic_objects.ground_beneath",
+            "method_numbers.trail_shapes.opaque_points",
+            "method_numbers.trail_shapes.ground_beneath",
         ),
         guards=True,
     ),
@@ -147,8 +147,8 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         "Nothing is claimed of what has few points and hides none of the ground beneath, in a cloud without"
         " counts of beams.",
         (
-            "method_numbers.dynamic_objects.opaque_points",
-            "method_numbers.dynamic_objects.ground_unhidden",
+            "method_numbers.trail_shapes.opaque_points",
+            "method_numbers.trail_shapes.ground_unhidden",
         ),
         guards=True,
     ),
@@ -158,8 +158,8 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         "Nothing is claimed of what has fewer points than one of its sides would have, on ground that was"
         " seen, in a cloud without counts of beams.",
         (
-            "method_numbers.dynamic_objects.side_points",
-            "method_numbers.dynamic_objects.ground_shown",
+            "method_numbers.trail_shapes.side_points",
+            "method_numbers.trail_shapes.ground_shown",
         ),
         guards=True,
     ),
@@ -168,10 +168,10 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         _HERE,
         "Nothing is claimed of a strip as thin and as tall as a person in a cloud without counts of beams.",
         (
-            "method_numbers.dynamic_objects.person_width",
-            "method_numbers.dynamic_objects.person_top",
-            "method_numbers.dynamic_objects.person_ground",
-            "method_numbers.dynamic_objects.walked_length",
+            "method_numbers.trail_shapes.person_width",
+            "method_numbers.trail_shapes.person_top",
+            "method_numbers.trail_shapes.person_ground",
+            "method_numbers.trail_shapes.walked_length",
         ),
         guards=True,
     ),

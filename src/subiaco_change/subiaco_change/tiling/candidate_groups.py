@@ -9,9 +9,9 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.objects.measures import MeasureConfig
 from subiaco_change.segmentation.clustering import connect
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import EpochContext

@@ -16,22 +16,22 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.config import ChangeConfig
-from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
 from subiaco_change.decisions.confidence import ConfidenceConfig, decided_anew
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_comparison import compare_objects, log_ratio, make_record
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_decisions import decide_plant, place_was_free
 from subiaco_change.decisions.plant_measures import PlantConfig
-from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.trail_in_pieces import ROW_REACH
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
-from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, Certainty, EpochView, Free
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
+from subiaco_change.objects.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.objects.measures import MeasureConfig
+from subiaco_change.objects.space_carving import Empty
+from subiaco_change.objects.voxel_objects import NO_OBJECT, OTHERS, Certainty, EpochView, Free
 from subiaco_change.records import ChangeRecord
 from subiaco_change.strategies import Part, choose_strategies
 from subiaco_change.tiling.candidate_groups import CandidateGroups

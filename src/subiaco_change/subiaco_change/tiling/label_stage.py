@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, shown_lod
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, ground_raster
-from subiaco_change.decisions.measures import MeasureConfig, same_place
 from subiaco_change.decisions.point_labels import PointLabels, label_rest, unlabelled
-from subiaco_change.decisions.voxel_objects import EpochView, occupied
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
+from subiaco_change.objects.measures import MeasureConfig, same_place
+from subiaco_change.objects.voxel_objects import EpochView, occupied
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.strategies import Part, PointComparison, choose_strategies
 from subiaco_change.tiling.alignment import ChangedPoints, TileLods

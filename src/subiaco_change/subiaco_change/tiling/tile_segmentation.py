@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.given_classes import UNGIVEN
 from subiaco_change.method_rules.switches import obeys_rules
+from subiaco_change.objects.measures import MeasureConfig
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.instances import InstanceConfig

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from subiaco_change.decisions.driven_lane import SurveyPath, lane_near
 from subiaco_change.decisions.trail_in_pieces import Surroundings, surroundings
-from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView
 from subiaco_change.level_of_detection.common_frame import free_through, seen_through
+from subiaco_change.objects.voxel_objects import UNCERTAIN, EpochView
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.alignment import TileLods
 from subiaco_change.tiling.epoch_preparation import load_observer

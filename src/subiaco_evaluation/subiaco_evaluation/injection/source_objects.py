@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.voxel_objects import UNCERTAIN
 from subiaco_change.level_of_detection.common_frame import levelled
+from subiaco_change.objects.voxel_objects import UNCERTAIN
 from subiaco_change.segmentation.classes import label_points
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.instances import segment

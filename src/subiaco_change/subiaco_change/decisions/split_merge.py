@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from subiaco_change.association.costs import AssociationConfig, overlap_counts
+from subiaco_change.association.config import AssociationConfig
+from subiaco_change.association.costs import overlap_counts
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
-from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.building_extensions import (
     find_building_extensions,
     gaps_to_host,
@@ -31,6 +31,7 @@ from subiaco_change.instance_splitting.merged_instances import (
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
+from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import unique_keys, voxel_indices, voxel_keys

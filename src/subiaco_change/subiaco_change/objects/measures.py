@@ -17,18 +17,18 @@ from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.decisions.column_volumes import (
+from subiaco_change.geometry import outline_of_cells
+from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_change.objects.carving_config import CarvingConfig
+from subiaco_change.objects.column_volumes import (
     BUILT_UP,
     OpenGround,
     compare_volumes,
     exists_in_one_epoch,
 )
-from subiaco_change.decisions.config import CarvingConfig
-from subiaco_change.decisions.space_carving import CarvingEpoch, Interval, carve
-from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Reach, Voxels, join_voxels
-from subiaco_change.geometry import outline_of_cells
-from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_change.objects.space_carving import CarvingEpoch, Interval, carve
+from subiaco_change.objects.voxel_objects import Certainty, Free, ObjectInstance, Reach, Voxels, join_voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_geo.clouds import unique_cells
 from subiaco_geo.config import StrictModel
@@ -265,6 +265,13 @@ def oriented_rectangle(xy: Floats) -> BaseGeometry:
     """Smallest-area rectangle around points (N, 2), at least 0.25 m wide."""
     hull = shapely.MultiPoint(xy).convex_hull.buffer(0.125, cap_style="square", join_style="mitre")
     return shapely.minimum_rotated_rectangle(hull)
+
+
+def footprint_sides(xyz: Floats) -> tuple[float, float]:
+    """Shorter and longer side of the footprint of places (M, 3) [m]."""
+    corners = np.array(oriented_rectangle(xyz[:, :2]).exterior.coords)
+    narrow, long = np.sort(np.linalg.norm(np.diff(corners[:3], axis=0), axis=1)).tolist()
+    return narrow, long
 
 
 def rectangle_iou(first: BaseGeometry, second: BaseGeometry) -> float:

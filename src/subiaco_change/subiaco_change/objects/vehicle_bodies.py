@@ -21,7 +21,7 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
 
 if TYPE_CHECKING:
-    from subiaco_change.decisions.voxel_objects import EpochView
+    from subiaco_change.objects.voxel_objects import EpochView
 
 _NARROWEST, _WIDEST = NUMBERS.vehicle_bodies.width
 _SHORTEST, _LONGEST = NUMBERS.vehicle_bodies.length

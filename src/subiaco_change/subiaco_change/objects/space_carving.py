@@ -23,9 +23,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.column_volumes import body_tops
-from subiaco_change.decisions.config import CarvingConfig
-from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import (
     applies,
@@ -34,6 +31,9 @@ from subiaco_change.method_rules.switches import (
     rule_mask,
     switchable,
 )
+from subiaco_change.objects.carving_config import CarvingConfig
+from subiaco_change.objects.column_volumes import body_tops
+from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints

@@ -16,9 +16,9 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import gammaln, ndtri, stdtrit
 
-from subiaco_change.decisions.voxel_objects import Free
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
+from subiaco_change.objects.voxel_objects import Free
 from subiaco_geo.clouds import extent_of, unique_cells
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
