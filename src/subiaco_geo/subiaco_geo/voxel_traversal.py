@@ -22,8 +22,8 @@ from subiaco_geo.observation_times import (
     pending_rows,
 )
 from subiaco_geo.visibility import VisibilityGrid
+from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
 
-_EMPTY = -1
 _LIMIT = 1 << 20  # voxel indices that fit a key, see subiaco_geo.clouds.voxel_keys
 _CACHE_LINE = 64  # [bytes]
 _CELL = np.dtype([("hits", np.uint32), ("passes", np.uint32)])
@@ -47,29 +47,10 @@ def _place(key: int) -> int:
 
 
 @numba.njit(cache=True)
-def _slot(index: Ints, key: int) -> int:
-    """Return the slot of a key in an open-addressing table of keys and numbers, or the empty slot for it."""
-    mask = np.uint64(len(index) - 1)
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    slot = (mixed ^ (mixed >> np.uint64(32))) & mask
-    while index[slot, 0] != key and index[slot, 0] != _EMPTY:
-        slot = (slot + np.uint64(1)) & mask
-    return slot  # type: ignore[return-value]
-
-
-@numba.njit(cache=True)
-def _enter(keys: Ints, index: Ints) -> None:
-    """Fill an empty table with keys (N,), each once, and their numbers."""
-    for number in range(len(keys)):
-        slot = _slot(index, keys[number])
-        index[slot, 0], index[slot, 1] = keys[number], number
-
-
-@numba.njit(cache=True)
 def _first_cell(index: Ints, used: Ints, block: int) -> int:
     """Return the first cell of a block, which is given the next free ones where it is new."""
-    slot = _slot(index, block)
-    if index[slot, 0] == _EMPTY:
+    slot = find_slot(index, block)
+    if index[slot, 0] == EMPTY:
         index[slot, 0], index[slot, 1] = block, used[0]
         used[0] += 1
     return index[slot, 1] * _CELLS
@@ -78,7 +59,7 @@ def _first_cell(index: Ints, used: Ints, block: int) -> int:
 def _in_order(index: Ints, count: int) -> Ints:
     """Return the keys (N,) of a table in the order of their numbers."""
     keys = np.empty(count, dtype=np.int64)
-    held = index[index[:, 0] != _EMPTY]
+    held = index[index[:, 0] != EMPTY]
     keys[held[:, 1]] = held[:, 0]
     return keys
 
@@ -88,7 +69,7 @@ def _touch(
     points: Floats, first: int, blocks: int, index: Ints, used: Ints, looks: Rows, window: int, least: int
 ) -> int:
     """Count a hit window at the voxels of points (voxel units) until done or all blocks are used."""
-    last, fresh = np.int64(_EMPTY), 0
+    last, fresh = np.int64(EMPTY), 0
     for i in range(first, len(points)):
         key = np.int64(0)
         for axis in range(3):
@@ -167,13 +148,13 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
         if number + steps + 1 > len(met):
             met = np.concatenate((met, np.empty(len(met) + steps + 1, np.uint64)))
         crossed = steps if returned[ray] else steps + 1
-        block, base = np.int64(_EMPTY), np.int64(0)
+        block, base = np.int64(EMPTY), np.int64(0)
         for i in range(steps + 1):
             key = path[i]
             if key & ~_INSIDE != block:
                 block = key & ~_INSIDE
-                slot = _slot(index, block)
-                if index[slot, 0] == _EMPTY:
+                slot = find_slot(index, block)
+                if index[slot, 0] == EMPTY:
                     index[slot, 0], index[slot, 1] = block, filled
                     filled += 1
                 base = index[slot, 1] * _CELLS
@@ -228,7 +209,7 @@ def _collect(index: Ints, used: Ints, hits: Counts, passes: Counts, looks: Rows,
     """Return keys and cells (2, N) of the voxels at which something was counted."""
     found, n = np.empty((2, used[1]), np.int64), 0
     for slot in range(len(index)):
-        if index[slot, 0] == _EMPTY:
+        if index[slot, 0] == EMPTY:
             continue
         for place in range(_CELLS):
             cell = index[slot, 1] * _CELLS + place
@@ -333,7 +314,7 @@ class VisibilityAccumulator:
         looks = self._cells["looks"] if self._least else np.zeros((1, 2 * COLUMNS), dtype=np.uint16)[:, ::2]
         self._looks: Rows = looks[:, :COLUMNS]
         self._batch = np.zeros(len(self._cells), dtype=np.uint16)
-        self._index = np.full((2 * blocks, 2), _EMPTY, dtype=np.int64)
+        self._index = empty_table(2 * blocks)
 
     @property
     def _blocks(self) -> int:
@@ -343,7 +324,7 @@ class VisibilityAccumulator:
         cells, index = self._cells, self._index
         self._allocate(1 << int(np.ceil(np.log2(blocks))))
         self._cells[: self.cells] = cells[: self.cells]
-        _enter(_in_order(index, int(self._used[0])), self._index)
+        enter_keys(_in_order(index, int(self._used[0])), self._index)
 
     def touch(self, points: Floats, window: int) -> None:
         """Count a window in which something returned from the voxels of points (N, 3) [m, world].

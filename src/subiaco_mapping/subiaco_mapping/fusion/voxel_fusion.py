@@ -14,33 +14,14 @@ from numpy.typing import NDArray
 from subiaco_geo.clouds import PointCloud, from_world, stable_order, unpack_voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
+from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.outliers import isolated_points
 
-_EMPTY = -1
 _LIMIT = 1 << 20
 _COLUMNS = 14
 _PART = 1 << 14  # points that are added at a time
-
-
-@numba.njit(cache=True)
-def _slot(index: Ints, key: int) -> int:
-    """Return the slot of a key in an open-addressing table of keys and rows, or the empty slot for it."""
-    mask = np.uint64(len(index) - 1)
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    slot = (mixed ^ (mixed >> np.uint64(32))) & mask
-    while index[slot, 0] != key and index[slot, 0] != _EMPTY:
-        slot = (slot + np.uint64(1)) & mask
-    return slot  # type: ignore[return-value]
-
-
-@numba.njit(cache=True)
-def _enter(keys: Ints, index: Ints) -> None:
-    """Fill an empty table with keys (N,), each once, and their rows."""
-    for number in range(len(keys)):
-        slot = _slot(index, keys[number])
-        index[slot, 0], index[slot, 1] = keys[number], number
 
 
 @numba.njit(cache=True)
@@ -55,8 +36,8 @@ def _accumulate(xyz, intensity, sensor, leaf, index, keys, counts, sums, used): 
         x, y, z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
         cx, cy, cz = np.floor(x / leaf), np.floor(y / leaf), np.floor(z / leaf)
         key = ((np.int64(cx) + _LIMIT) << 42) | ((np.int64(cy) + _LIMIT) << 21) | (np.int64(cz) + _LIMIT)
-        slot = _slot(index, key)
-        if index[slot, 0] == _EMPTY:
+        slot = find_slot(index, key)
+        if index[slot, 0] == EMPTY:
             index[slot, 0], index[slot, 1], keys[used] = key, used, key
             used += 1
         row = index[slot, 1]
@@ -144,8 +125,8 @@ class VoxelAccumulator:
             rows = np.zeros((size, *old.shape[1:]), dtype=old.dtype)
             rows[: self._used] = old[: self._used]
             setattr(self, name, rows)
-        self._index = np.full((2 * size, 2), _EMPTY, dtype=np.int64)
-        _enter(self._keys[: self._used], self._index)
+        self._index = empty_table(2 * size)
+        enter_keys(self._keys[: self._used], self._index)
 
     def add(self, xyz: Floats, intensity: NDArray[np.float32], sensor: Floats) -> None:
         """Add points (N, 3) [m] seen from a sensor position (3,)."""
@@ -169,7 +150,7 @@ class VoxelAccumulator:
 
     def clear(self) -> None:
         """Forget everything; the table keeps its size."""
-        self._index.fill(_EMPTY)
+        self._index.fill(EMPTY)
         self._counts[: self._used] = 0
         self._sums[: self._used] = 0.0
         self._used = 0
