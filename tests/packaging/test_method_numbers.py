@@ -37,7 +37,6 @@ ALLOWED = {
     "decisions/confidence.py: _EPSILON": "keeps a logarithm finite",
     "segmentation/ground_model.py: _ABSENT": "marks a cell without height",
     "segmentation/raised_surfaces.py: _LATTICE": "tiles share their cells whatever its value",
-    "segmentation/clustering.py: _HALF": "indices of neighbours",
     "tiling/epoch_stages.py: _BEAMS": "size of stored pieces of counted beams",
     "tiling/ground_stage.py: _SIGNS": "up and down",
     "absolute_positions/control_ties.py: _UPWARDS": "the vertical",
