@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import stable_order
+from subiaco_geo.clouds import VOXEL_LIMIT, stable_order
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.observation_times import (
@@ -24,7 +24,6 @@ from subiaco_geo.observation_times import (
 from subiaco_geo.visibility import VisibilityGrid
 from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
 
-_LIMIT = 1 << 20  # voxel indices that fit a key, see subiaco_geo.clouds.voxel_keys
 _CACHE_LINE = 64  # [bytes]
 _CELL = np.dtype([("hits", np.uint32), ("passes", np.uint32)])
 _TIMED_CELL = np.dtype([*_CELL.descr, ("looks", np.uint16, (COLUMNS + 1,))])  # one to align
@@ -73,7 +72,7 @@ def _touch(
     for i in range(first, len(points)):
         key = np.int64(0)
         for axis in range(3):
-            key = (key << 21) | (np.int64(np.floor(points[i, axis])) + _LIMIT)
+            key = (key << 21) | (np.int64(np.floor(points[i, axis])) + VOXEL_LIMIT)
         if key == last:
             continue
         if used[0] == blocks:
@@ -127,7 +126,7 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
             steps += left[axis]
         if filled + crossed_blocks > blocks:
             break
-        key = ((cell[0] + _LIMIT) << 42) | ((cell[1] + _LIMIT) << 21) | (cell[2] + _LIMIT)
+        key = ((cell[0] + VOXEL_LIMIT) << 42) | ((cell[1] + VOXEL_LIMIT) << 21) | (cell[2] + VOXEL_LIMIT)
         dx, dy, dz = step[0] << 42, step[1] << 21, step[2]
         nx, ny, nz = left
         tx, ty, tz = t_next[0], t_next[1], t_next[2]
@@ -260,12 +259,12 @@ def _beams(starts: Floats, ends: Floats, origin: Floats, voxel: float) -> tuple[
 
 def _in_voxels(name: str, points: Floats, origin: Floats, voxel: float) -> Floats:
     """Put points (N, 3) [m, world] in voxel units; ``name`` them where they cannot be counted."""
-    units, near = _units(points, origin, voxel, _LIMIT - 1)
+    units, near = _units(points, origin, voxel, VOXEL_LIMIT - 1)
     if not near:
         if not np.isfinite(units).all():
             raise InputError(f"beam {name} hold NaN or infinite coordinates; drop them first")
         raise InputError(
-            f"beam {name} lie more than {_LIMIT} voxels from the grid origin; use a nearer origin"
+            f"beam {name} lie more than {VOXEL_LIMIT} voxels from the grid origin; use a nearer origin"
         )
     return units
 

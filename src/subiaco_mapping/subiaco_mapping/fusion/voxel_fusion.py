@@ -11,7 +11,7 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import PointCloud, from_world, stable_order, unpack_voxel_keys
+from subiaco_geo.clouds import VOXEL_LIMIT, PointCloud, from_world, stable_order, unpack_voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
 from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
@@ -19,7 +19,6 @@ from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.outliers import isolated_points
 
-_LIMIT = 1 << 20
 _COLUMNS = 14
 _PART = 1 << 14  # points that are added at a time
 
@@ -35,7 +34,11 @@ def _accumulate(xyz, intensity, sensor, leaf, index, keys, counts, sums, used): 
     for i in range(len(xyz)):
         x, y, z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
         cx, cy, cz = np.floor(x / leaf), np.floor(y / leaf), np.floor(z / leaf)
-        key = ((np.int64(cx) + _LIMIT) << 42) | ((np.int64(cy) + _LIMIT) << 21) | (np.int64(cz) + _LIMIT)
+        key = (
+            ((np.int64(cx) + VOXEL_LIMIT) << 42)
+            | ((np.int64(cy) + VOXEL_LIMIT) << 21)
+            | (np.int64(cz) + VOXEL_LIMIT)
+        )
         slot = find_slot(index, key)
         if index[slot, 0] == EMPTY:
             index[slot, 0], index[slot, 1], keys[used] = key, used, key
@@ -132,7 +135,7 @@ class VoxelAccumulator:
         """Add points (N, 3) [m] seen from a sensor position (3,)."""
         if len(xyz) == 0:
             return
-        if not np.abs(xyz).max() < self.leaf * (_LIMIT - 1):  # NaN neither
+        if not np.abs(xyz).max() < self.leaf * (VOXEL_LIMIT - 1):  # NaN neither
             raise InputError("fused map: points are not finite or too far from the local origin")
         for start in range(0, len(xyz), _PART):
             part = slice(start, start + _PART)
