@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numba
@@ -413,27 +412,3 @@ class VisibilityAccumulator:
         """Return keys and cells (2, N) of the voxels seen so far, by key."""
         found = self._collected()
         return np.asarray(found[:, stable_order(found[0])])
-
-
-def accumulate_visibility(
-    starts: Floats, ends: Floats, origin: Floats, voxel: float, returned: Flags | None = None
-) -> VisibilityGrid:
-    """Walk beams (N, 3) -> (N, 3) [m, world] once; see :class:`VisibilityAccumulator`."""
-    accumulator = VisibilityAccumulator(origin, voxel)
-    accumulator.add(starts, ends, returned)
-    return accumulator.grid()
-
-
-def merge_grids(grids: Sequence[VisibilityGrid]) -> VisibilityGrid:
-    """Add the counts of grids that share origin and voxel."""
-    if not grids:
-        raise InputError("no visibility grids to merge")
-    first = grids[0]
-    for grid in grids[1:]:
-        if grid.voxel != first.voxel or not np.array_equal(grid.origin, first.origin):
-            raise InputError("visibility grids differ in origin or voxel; build them with the same ones")
-    keys, slots = np.unique(np.concatenate([g.keys for g in grids]), return_inverse=True)
-    hits, passes = np.zeros((2, len(keys)), dtype=np.uint32)
-    np.add.at(hits, slots, np.concatenate([g.hits for g in grids]))
-    np.add.at(passes, slots, np.concatenate([g.passes for g in grids]))
-    return VisibilityGrid(first.origin, first.voxel, keys, hits, passes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,13 +11,12 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import VOXEL_LIMIT, PointCloud, from_world, stable_order, unpack_voxel_keys
+from subiaco_geo.clouds import VOXEL_LIMIT, stable_order, unpack_voxel_keys
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats, Ints, transform_points
+from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
-from subiaco_mapping.fusion.outliers import isolated_points
 
 _COLUMNS = 14
 _PART = 1 << 14  # points that are added at a time
@@ -188,69 +187,10 @@ def oriented_normals(xyz: Floats, view: Floats, neighbours: int, threads: int) -
     return normals
 
 
-def fused_cloud(
-    accumulator: VoxelAccumulator,
-    config: FusionConfig,
-    threads: int,
-    project: Callable[[Floats], Floats],
-    rotate: Callable[[Floats, Floats], Floats],
-    crs: str | None,
-    spacing: float = 0.0,
-) -> PointCloud:
-    """Finish the map.
-
-    Parameters
-    ----------
-    accumulator : VoxelAccumulator
-    config : FusionConfig
-    threads : int
-    project : callable
-        Local points (N, 3) to the map's world coordinates.
-    rotate : callable
-        Local points and directions (N, 3) to directions in map axes.
-    crs : str or None
-    spacing : float
-        Of the beams, see :func:`subiaco_mapping.fusion.outliers.beam_spacing` [rad].
-
-    Returns
-    -------
-    PointCloud
-        With intensity, normals, ``n`` and ``spread``: the standard deviation of a voxel's points
-        along its normal [m], 0 where ``n`` is 1.
-
-    Raises
-    ------
-    InputError
-        Fewer than 10 voxels are left.
-    """
-    found = accumulator.statistics()
-    found = found.select(found.n >= config.min_points)
-    found = found.select(~isolated_points(found.mean, found.reach, spacing, config, threads))
-    if len(found) < 10:
-        raise InputError(f"fused map: {len(found)} points are left; check range limits and extrinsics")
-    normals = oriented_normals(found.mean, found.view, config.normal_neighbours, threads)
-    variance = np.einsum("ni,nij,nj->n", normals, found.covariance, normals)
-    return from_world(
-        project(found.mean),
-        crs,
-        intensity=found.intensity,
-        normals=rotate(found.mean, normals),
-        n=found.n,
-        spread=np.sqrt(np.maximum(variance, 0.0)).astype(np.float32),
-    )
-
-
 def within(xyz: Floats, max_range: float) -> NDArray[np.bool_]:
     """Mark sensor points (N, 3) within a range [m]."""
     x, y, z = xyz.T
     return np.asarray(x * x + y * y + z * z <= max_range**2)
-
-
-def add_scan(
-    accumulator: VoxelAccumulator, xyz: Floats, intensity: NDArray[np.float32], T_local_lidar: Floats
-) -> None:
-    """Add one deskewed scan (N, 3) in ``lidar_link`` from its pose."""
-    accumulator.add(transform_points(T_local_lidar, xyz), intensity, T_local_lidar[:3, 3])
 
 
 def visibility_beams(
