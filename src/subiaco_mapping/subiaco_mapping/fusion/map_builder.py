@@ -188,6 +188,7 @@ def describe(
             "downweighted": solved.fixes_downweighted,
             "contradicting": solved.fixes_contradicting,
             "headings_used": solved.headings_used,
+            "headings_refused": solved.headings_refused,
             "states": solved.gnss_states,
         }
         if solved.fixes_contradicting > config.max_contradicting * solved.fixes_used:

@@ -160,6 +160,7 @@ def summary(sequence: SequenceRecord, chain: Chain, solution: ChainSolution) -> 
         fixes_downweighted=int((solution.weights < 0.3).sum()),
         gnss_states=describe_fixes(status, received, solution),
         headings_used=0 if chain.heading is None else len(chain.heading.index),
+        headings_refused=sequence.refused_headings,
         fixes_contradicting=outside,
     )
 
