@@ -28,6 +28,7 @@ DECIDING = [
     )),
     *(MAPPING / folder for folder in (
         "absolute_positions", "fusion", "loop_closure", "odometry", "pose_graph", "preprocessing",
+        "survey_graph",
     )),
     GEO / "free_space",
 ]  # fmt: skip
@@ -44,8 +45,9 @@ ALLOWED = {
     "fusion/full_density.py: _STEP": "resolution of stored coordinates",
     "fusion/preview.py: _RANGE": "the preview decides nothing",
     "fusion/projection.py: _BASIS": "step of a difference quotient",
-    "odometry/velocity_filter.py: SECOND": "a unit",
     "preprocessing/imu_clock.py: SECOND": "a unit",
+    "preprocessing/scan_spool.py: _BEAM_OFFSET": "bound of stored coordinates",
+    "preprocessing/velocity_filter.py: SECOND": "a unit",
     "free_space/depth_images.py: _FARTHEST": "the largest value of 16 bits",
     "free_space/view_estimation.py: _ANGLES": "from the horizon to the zenith",
 }

@@ -15,7 +15,6 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.movement import verdicts
 from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED, TimeRecord, VisibilityGrid
-from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above_floor, moved_probability
 from subiaco_mapping.fusion.full_density import DensityTiles, FullDensity
@@ -36,6 +35,7 @@ from subiaco_mapping.fusion.voxel_tiles import (
     tiles_around,
 )
 from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.preprocessing.scan_spool import SpooledScan
 
 _SHOWN = NUMBERS.fusion.beam_sample
 _TURN_NS = 100_000_000  # between scans without stamps

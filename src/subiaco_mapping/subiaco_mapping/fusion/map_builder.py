@@ -26,8 +26,8 @@ from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.manifest import CONTRADICTED, LEGEND, describe_sequence, stretches
 from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.config import GnssConfig
-from subiaco_mapping.pose_graph.solution import GraphSolution
 from subiaco_mapping.sequences import SequenceRecord
+from subiaco_mapping.survey_graph.solution import GraphSolution
 
 _VIEWED = NUMBERS.fusion.view_sample
 

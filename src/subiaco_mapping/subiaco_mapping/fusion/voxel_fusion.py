@@ -15,8 +15,8 @@ from subiaco_geo.clouds import VOXEL_LIMIT, stable_order, unpack_voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
-from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
+from subiaco_mapping.preprocessing.scan_spool import SpooledScan
 
 _COLUMNS = 14
 _PART = 1 << 14  # points that are added at a time
