@@ -130,10 +130,20 @@ class MapFusion:
         stamp_ns: int | None = None,
         source: int = 1,
     ) -> None:
-        """Add a scan at ``T_local_lidar``; ``world = matrix @ local + offset`` around it.
+        """Add a scan; scans come in the order of their stamps.
 
-        Scans come in the order of their stamps; one without a stamp is a tenth of a second later
-        than the last. ``source`` numbers its recording from 1.
+        Parameters
+        ----------
+        scan : SpooledScan
+        pose : (4, 4) float64
+            ``T_local_lidar``.
+        matrix : (3, 3) float64
+        offset : (3,) float64
+            World coordinates around the scan are ``matrix @ local + offset`` [m].
+        stamp_ns : int, optional
+            Without a stamp, the scan is a tenth of a second later than the scan before.
+        source : int
+            Number of the recording, from 1.
         """
         in_map = np.eye(4)
         in_map[:3, :3], in_map[:3, 3] = matrix @ pose[:3, :3], matrix @ pose[:3, 3] + offset - self._origin
