@@ -28,12 +28,12 @@ from results import keep, rounded
 from subiaco_geo.frames import Floats, make_pose
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion.ground_heights import height_table
 from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.map_quality.wall_thickness import coverage, wall_thickness
+from subiaco_mapping.preprocessing.scan_spool import SpooledScan
 
 SPEED = 10.0
 TWO_HOURS = 7200.0

@@ -23,11 +23,11 @@ from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.trajectories import read_tum
 from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder
-from subiaco_mapping.checkpoint.scan_spool import Spool, SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig, MovingConfig
 from subiaco_mapping.fusion.finishing import MapFusion
 from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.preprocessing.config import DecodeConfig
+from subiaco_mapping.preprocessing.scan_spool import Spool, SpooledScan
 
 SEED = 1
 SKY_RANGE = 40.0  # of `decode.sky_range`, which the spool's steps rest on [m]

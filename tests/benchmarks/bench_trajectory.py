@@ -25,7 +25,7 @@ from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.measurements import Extrinsics, GnssFix, HeadingSample
-from subiaco_mapping.pose_graph.solution import GraphSolution
+from subiaco_mapping.survey_graph.solution import GraphSolution
 from subiaco_sim.drives import MAP_CRS, WORLD, Survey
 from subiaco_sim.gnss import NONE
 

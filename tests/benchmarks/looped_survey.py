@@ -16,7 +16,7 @@ import numpy as np
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import FaultConfig, GnssConfig, LidarMode, SimulationConfig
-from subiaco_sim.drives import START_NS, Drive, Survey, lidar_of, plan_survey, scans_of
+from subiaco_sim.drives import START_NS, Survey, lidar_of, plan_survey, scans_of
 from subiaco_sim.gnss import FIXED, FLOAT, NONE, GnssSeries, simulate_gnss
 from subiaco_sim.motion import drive, travelled
 from subiaco_sim.presets import find_preset
@@ -74,11 +74,6 @@ def record_surveys(folder: Path, surveys: dict[str, Survey]) -> dict[str, Path]:
             with whole_directory(bags[name], overwrite=False, marker="bag") as inside:
                 _record(inside / "bag", survey, own, scans_of(survey, own, lidar_of(survey, own)))
     return bags
-
-
-def true_poses(own: Drive, times_ns: Ints) -> Floats:
-    """Return T_enu_lidar (N, 4, 4) in the scene's frame."""
-    return own.lidar_poses(times_ns)
 
 
 def fixes_of(survey: Survey, kind: str) -> GnssSeries:

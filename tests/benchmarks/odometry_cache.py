@@ -11,12 +11,12 @@ import numpy as np
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.bags import BagReader, packet_from_cdr
 from subiaco_geo.topics import IMU, LIDAR_PACKETS
-from subiaco_mapping.checkpoint.scan_spool import Spool
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, OdometryPose
 from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.pipeline import read_extrinsics, read_metadata
 from subiaco_mapping.preprocessing.conversions import imu_from_msg
+from subiaco_mapping.preprocessing.scan_spool import Spool
 
 PACKET_LOSS = 0.05
 IMU_HOLE_S = (45.0, 46.0)

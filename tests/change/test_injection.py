@@ -36,7 +36,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.maps import load_epoch
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
-from subiaco_geo.voxel_traversal import accumulate_visibility
+from subiaco_geo.voxel_traversal import VisibilityAccumulator
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, 20.0])
 LEAF = 0.25
@@ -201,7 +201,9 @@ def test_beams_pass_where_a_thing_was_and_end_where_one_stands():
     ends = scene.xyz[rng.choice(len(scene.xyz), len(starts))]
     ends = np.concatenate([ends, scene.xyz[scene.instance == 1]])
     starts = np.concatenate([starts, np.tile(POSES[38], (len(ends) - len(starts), 1))])
-    grid = accumulate_visibility(starts + ORIGIN, ends + ORIGIN, ORIGIN - 5.0, 0.5)
+    beams = VisibilityAccumulator(ORIGIN - 5.0, 0.5)
+    beams.add(starts + ORIGIN, ends + ORIGIN)
+    grid = beams.grid()
     shed = np.flatnonzero(scene.instance == 1)
     take_away(scene, shed, "building")
     wall = plane((10, 13, 0), (50, 13, 5), 1, 13.0)

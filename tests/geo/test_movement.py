@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from subiaco_geo.clouds import voxel_keys
-from subiaco_geo.movement import MovementConfig, connected, verdicts
+from subiaco_geo.movement import MovementConfig, verdicts
 from subiaco_geo.observation_times import PENDING, VoxelObservations, joined_looks
 from subiaco_geo.visibility import (
     NO_VERDICT,
@@ -183,18 +183,6 @@ def test_verdicts_do_not_depend_on_how_many_voxels_are_taken_at_a_time(seed: int
     keys = np.sort(voxel_keys(cells))
     looks = looked_at(cells, 6.0, lambda c, t: np.asarray((c[:, 0] == int(2 * t) - 6) | (c[:, 1] > 4)))
     np.testing.assert_array_equal(verdicts(keys, looks, CONFIG, most), verdicts(keys, looks, CONFIG))
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=25)
-def test_connected_voxels_are_those_that_touch_one_another(seed: int) -> None:
-    cells = np.unique(np.random.default_rng(seed).integers(0, 9, (60, 3)), axis=0)
-    part = connected(voxel_keys(cells))
-    apart = np.abs(cells[:, None] - cells[None]).max(axis=2)
-    touching = np.linalg.matrix_power((apart <= 1).astype(float), 8) > 0
-    for _ in range(4):
-        touching = touching.astype(float) @ touching.astype(float) > 0
-    np.testing.assert_array_equal(part[:, None] == part[None], touching)
 
 
 def windows_of(beams: list[tuple[int, bool]], least: int, cut: int | None = None) -> tuple[list[int], int]:

@@ -7,13 +7,17 @@ import pytest
 
 from subiaco_geo.clouds import unpack_voxel_keys, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
-from subiaco_geo.voxel_traversal import (
-    VisibilityAccumulator,
-    accumulate_visibility,
-    merge_grids,
-)
+from subiaco_geo.visibility import VisibilityGrid
+from subiaco_geo.voxel_traversal import VisibilityAccumulator
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, -20.0])
+
+
+def accumulate_visibility(starts, ends, origin, voxel, returned=None) -> VisibilityGrid:
+    """Count beams (N, 3) -> (N, 3) [m, world] in one batch."""
+    accumulator = VisibilityAccumulator(origin, voxel)
+    accumulator.add(starts, ends, returned)
+    return accumulator.grid()
 
 
 def twin(starts, ends, voxel):
@@ -69,7 +73,7 @@ def test_a_beam_inside_one_voxel_is_a_hit_only():
     assert grid.passes.tolist() == [0]
 
 
-def test_batches_and_merged_grids_count_like_one_batch_while_the_table_grows():
+def test_batches_count_like_one_batch_while_the_table_grows():
     rng = np.random.default_rng(6)
     starts = np.zeros((3000, 3))
     ends = rng.normal(0, 30, (3000, 3))
@@ -77,13 +81,10 @@ def test_batches_and_merged_grids_count_like_one_batch_while_the_table_grows():
     growing = VisibilityAccumulator(np.zeros(3), 0.5, capacity=1024)
     growing.add(starts[:1000], ends[:1000])
     growing.add(starts[1000:], ends[1000:])
-    parts = [
-        accumulate_visibility(starts[s], ends[s], np.zeros(3), 0.5) for s in (slice(1500), slice(1500, None))
-    ]
-    for other in (growing.grid(), merge_grids(parts)):
-        assert np.array_equal(other.keys, whole.keys)
-        assert np.array_equal(other.hits, whole.hits)
-        assert np.array_equal(other.passes, whole.passes)
+    found = growing.grid()
+    assert np.array_equal(found.keys, whole.keys)
+    assert np.array_equal(found.hits, whole.hits)
+    assert np.array_equal(found.passes, whole.passes)
     assert whole.hits.sum() == 3000
 
 
@@ -100,9 +101,6 @@ def test_beams_that_are_not_finite_or_too_far_are_refused():
         accumulate_visibility(good, np.full((1, 3), np.nan), np.zeros(3), 0.5)
     with pytest.raises(InputError, match="nearer origin"):
         accumulate_visibility(good, np.full((1, 3), 1e7), np.zeros(3), 0.5)
-    coarse, fine = (accumulate_visibility(good, good, np.zeros(3), voxel) for voxel in (0.5, 0.25))
-    with pytest.raises(InputError, match="differ in origin or voxel"):
-        merge_grids([coarse, fine])
 
 
 def test_more_beams_than_one_batch_holds_are_all_counted():

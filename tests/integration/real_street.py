@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from plain_fusion import add_scan, fused_cloud
 from real_data import KittiScans
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -23,7 +24,7 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.outliers import beam_spacing
-from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, add_scan, fused_cloud, within
+from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, within
 
 KINDS = ("building", "car", "fence", "pole", "tree")  # the hundreds of the file names
 LEAF = 0.25

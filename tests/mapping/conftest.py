@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(1, str(Path(__file__).parents[1] / "integration"))  # plain_fusion
 
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory

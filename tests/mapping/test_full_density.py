@@ -14,7 +14,6 @@ from traffic_scene import REGIONS, drive
 from subiaco_change.segmentation.classes import map_classes
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.maps import read_map
-from subiaco_mapping.checkpoint.scan_spool import PULSE, Spool, SpooledScan, pulses_of
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.finishing import MapFusion
@@ -23,6 +22,7 @@ from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.job import run_mapping
 from subiaco_mapping.measurements import DeskewedScan, Returns
 from subiaco_mapping.odometry.config import OdometryConfig
+from subiaco_mapping.preprocessing.scan_spool import PULSE, Spool, SpooledScan, pulses_of
 from subiaco_mapping.request import MappingRequest
 
 FRAME = EnuFrame(-31.95, 115.82, 20.0)

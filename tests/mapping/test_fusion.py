@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plain_fusion import fused_cloud
 
 from subiaco_geo.clouds import PointCloud, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
-from subiaco_mapping.checkpoint.scan_spool import Spool
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.ground_heights import height_table
-from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, fused_cloud
+from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator
 from subiaco_mapping.measurements import DeskewedScan
+from subiaco_mapping.preprocessing.scan_spool import Spool
 
 SENSOR = np.array([0.0, 0.0, 2.0])
 

@@ -281,6 +281,8 @@ def test_headings_turn_a_drive_that_fixes_leave_open(tmp_path: Path, offset_deg:
     assert np.degrees(np.abs((off + np.pi) % (2 * np.pi) - np.pi)).max() < 0.2
     assert solved.covariance[50, 2, 2] < 0.2 * loose
     assert solved.headings_used == 20
+    gnss = describe(backend._sequences, backend.optimize(), CONFIG.manifest)["sequences"]["drive"]["gnss"]
+    assert (gnss["headings_used"], gnss["headings_refused"]) == (20, 1)
 
 
 def test_the_manifest_tells_the_residuals_of_every_rtk_state(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from subiaco_mapping.map_quality.verdict import amount
 from subiaco_mapping.map_quality.wall_thickness import coverage, wall_thickness
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
 from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
-from subiaco_mapping.pose_graph.solution import GraphSolution
+from subiaco_mapping.survey_graph.solution import GraphSolution
 
 FRAME = EnuFrame(-31.948, 115.825, 12.0)
 LEVER = np.array([-0.4, 0.3, 0.9])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from plain_fusion import add_scan, fused_cloud
 from scipy.spatial import cKDTree
 from traffic_scene import REGIONS, drive
 
@@ -17,7 +18,7 @@ from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion.outliers import beam_spacing
 from subiaco_mapping.fusion.projection import Projection
-from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, add_scan, fused_cloud
+from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator
 from subiaco_mapping.fusion.voxel_tiles import TileRuns, tile_corner, tile_numbers, tiles_around
 
 SEED = 21

@@ -11,11 +11,11 @@ from scipy.ndimage import binary_erosion
 
 from subiaco_geo.frames import make_pose
 from subiaco_geo.voxel_traversal import VisibilityAccumulator
-from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.voxel_fusion import visibility_beams
 from subiaco_mapping.preprocessing.config import DecodeConfig
 from subiaco_mapping.preprocessing.decode import PacketDecoder
+from subiaco_mapping.preprocessing.scan_spool import SpooledScan
 from subiaco_mapping.preprocessing.sky import COLUMNS_PER_TURN, MAX_CLUTTER, RING_STEP, sky_mask, thinned
 
 

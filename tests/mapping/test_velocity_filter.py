@@ -5,9 +5,9 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import make_pose
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, Returns, Scan
-from subiaco_mapping.odometry.velocity_filter import VelocityFilter, imu_stretch
 from subiaco_mapping.preprocessing.config import DeskewConfig
 from subiaco_mapping.preprocessing.deskew import Deskewer, body_twist
+from subiaco_mapping.preprocessing.velocity_filter import VelocityFilter, imu_stretch
 
 START_NS, SECOND = 1_760_000_000_000_000_000, 1_000_000_000
 GRAVITY = np.array([0.0, 0.0, 9.79])

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from subiaco_geo.frames import Floats, make_pose
-from subiaco_mapping.checkpoint.scan_spool import SpooledScan
+from subiaco_mapping.preprocessing.scan_spool import SpooledScan
 
 SPEED = 5.0  # of the survey vehicle along x [m/s]
 EYE = 1.8

@@ -67,14 +67,6 @@ def test_what_was_consumed_of_a_replay_before_opens_no_window_for_the_next() -> 
     assert flow.settled
 
 
-def test_what_is_awaited_is_said_in_words() -> None:
-    flow = FlowControl(["a"])
-    assert flow.describe_waiting() == "nodes a"
-    flow.on_counts("a", ["/x"], [0])
-    flow.published("/x")
-    assert flow.describe_waiting() == "1 of /x"
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_a_bounded_queue_never_overflows_whatever_the_timing(seed: int) -> None:
     chance = random.Random(seed)

@@ -21,8 +21,8 @@ from launch_stand_in import (
 )
 
 from subiaco_bringup.graph import (
+    GraphSpec,
     change_graph,
-    command_lines,
     deployed,
     in_one_process,
     mapping_graph,
@@ -54,6 +54,11 @@ def change_request(folder: Path, **options: Any) -> ChangeRequest:
     return ChangeRequest.of(
         **{"before": folder / "before", "after": folder / "after", "output": folder / "output", **options}
     )
+
+
+def command_lines(graph: GraphSpec) -> list[list[str]]:
+    """Return package, executable and arguments of every process."""
+    return [[node.package, node.executable, *node.arguments()] for node in graph.nodes]
 
 
 def parameters_of(command: list[str]) -> dict[str, Any]:

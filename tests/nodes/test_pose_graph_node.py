@@ -51,7 +51,7 @@ class FakeBackend:
         self.fixes.append(fix)
 
     def optimize(self) -> Any:
-        from subiaco_mapping.pose_graph.solution import GraphSolution, SequenceSolution
+        from subiaco_mapping.survey_graph.solution import GraphSolution, SequenceSolution
 
         if not self.taken:
             raise InputError("no scan")

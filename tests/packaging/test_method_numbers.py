@@ -28,6 +28,7 @@ DECIDING = [
     )),
     *(MAPPING / folder for folder in (
         "absolute_positions", "fusion", "loop_closure", "odometry", "pose_graph", "preprocessing",
+        "survey_graph",
     )),
     GEO / "free_space",
 ]  # fmt: skip
@@ -37,7 +38,6 @@ ALLOWED = {
     "decisions/confidence.py: _EPSILON": "keeps a logarithm finite",
     "segmentation/ground_model.py: _ABSENT": "marks a cell without height",
     "segmentation/raised_surfaces.py: _LATTICE": "tiles share their cells whatever its value",
-    "segmentation/clustering.py: _HALF": "indices of neighbours",
     "tiling/epoch_stages.py: _BEAMS": "size of stored pieces of counted beams",
     "tiling/ground_stage.py: _SIGNS": "up and down",
     "absolute_positions/control_ties.py: _UPWARDS": "the vertical",
@@ -45,8 +45,9 @@ ALLOWED = {
     "fusion/full_density.py: _STEP": "resolution of stored coordinates",
     "fusion/preview.py: _RANGE": "the preview decides nothing",
     "fusion/projection.py: _BASIS": "step of a difference quotient",
-    "odometry/velocity_filter.py: SECOND": "a unit",
     "preprocessing/imu_clock.py: SECOND": "a unit",
+    "preprocessing/scan_spool.py: _BEAM_OFFSET": "bound of stored coordinates",
+    "preprocessing/velocity_filter.py: SECOND": "a unit",
     "free_space/depth_images.py: _FARTHEST": "the largest value of 16 bits",
     "free_space/view_estimation.py: _ANGLES": "from the horizon to the zenith",
 }

@@ -31,7 +31,6 @@ NO_KEY = {
 }  # fmt: skip
 #: Imported where the user asks for it: a cluster, object storage, learned methods, a live viewer.
 OPTIONAL = {"dask", "distributed", "torch", "foxglove", "fsspec"}
-VENDORED = ("ouster_sensor_msgs", "tf2_msgs")
 
 
 def imports(package: Path) -> set[str]:

@@ -238,11 +238,6 @@ def change_graph(request: ChangeRequest) -> GraphSpec:
     return GraphSpec("change", (node,))
 
 
-def command_lines(graph: GraphSpec) -> list[list[str]]:
-    """Return ``[package, executable, *arguments]`` of every process."""
-    return [[node.package, node.executable, *node.arguments()] for node in graph.nodes]
-
-
 def process_command(node: NodeSpec) -> list[str]:
     """Return the command that starts a node with this interpreter, no ``ros2`` tools needed."""
     return [sys.executable, "-m", f"{node.package}.nodes.{node.executable}", *node.arguments()]

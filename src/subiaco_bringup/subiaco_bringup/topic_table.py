@@ -435,6 +435,3 @@ SERVICES: tuple[ServiceRow, ...] = (
         "Compares two maps; progress as feedback.",
     ),
 )
-
-#: Nodes that the table describes; topics that one does not list itself, such as /rosout, belong to ROS.
-NODES = ("replay", "odometry", "pose_graph", "monitor", "recorder", "change")

@@ -14,7 +14,8 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
 Number = TypeVar("Number", bound=np.generic)
-_REACH = 1 << 20
+#: Voxel indices from minus this to below it fit into a packed key (:func:`voxel_keys`).
+VOXEL_LIMIT = 1 << 20
 _CELLS_A_POINT, _FEW_CELLS = 8, 1 << 20  # of a grid that is counted cell by cell, not sorted
 
 
@@ -118,7 +119,7 @@ def voxel_indices(xyz: Floats, leaf: float) -> Ints:
 
 def packable(index: Ints) -> NDArray[np.bool_]:
     """Tell which voxel indices (N, 3) lie within +-2**20, the reach of :func:`voxel_keys`."""
-    return within_box(index, np.full(3, -_REACH), np.full(3, _REACH - 1))
+    return within_box(index, np.full(3, -VOXEL_LIMIT), np.full(3, VOXEL_LIMIT - 1))
 
 
 def voxel_keys(index: Ints) -> Ints:
@@ -129,21 +130,21 @@ def voxel_keys(index: Ints) -> Ints:
     InputError
         An index out of reach, as world coordinates give: two voxels would share a key.
     """
-    if len(index) and (index.min() < -_REACH or index.max() >= _REACH):
+    if len(index) and (index.min() < -VOXEL_LIMIT or index.max() >= VOXEL_LIMIT):
         raise InputError("voxel index beyond +-2**20; use local coordinates or a larger leaf")
-    shifted = index + _REACH
+    shifted = index + VOXEL_LIMIT
     return np.asarray((shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2])
 
 
 def unpack_voxel_keys(keys: Ints) -> Ints:
     """Invert :func:`voxel_keys`, giving (N, 3) int64 indices."""
     mask = (1 << 21) - 1
-    return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=1) - _REACH
+    return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=1) - VOXEL_LIMIT
 
 
 def unpack_voxel_columns(keys: Ints) -> Ints:
     """Return the first two of the indices that :func:`unpack_voxel_keys` gives, (N, 2) int64."""
-    return np.stack([keys >> 42, (keys >> 21) & ((1 << 21) - 1)], axis=1) - _REACH
+    return np.stack([keys >> 42, (keys >> 21) & ((1 << 21) - 1)], axis=1) - VOXEL_LIMIT
 
 
 def unique_cells(cells: Ints) -> tuple[Ints, Ints]:

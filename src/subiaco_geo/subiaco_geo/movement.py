@@ -35,8 +35,8 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.observation_times import VoxelObservations
 from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED
+from subiaco_geo.voxel_components import connected_voxels
 
-_LIMIT = 1 << 20
 _BELOW = (-2, -3, -4, -5)  # voxels under one that is not ground
 
 
@@ -248,39 +248,6 @@ def _around(keys, values, reach):  # type: ignore[no-untyped-def]  # noqa: ANN00
     return total
 
 
-@numba.njit(cache=True)
-def _root(parent, i):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@numba.njit(cache=True)
-def connected(keys: Ints) -> Ints:
-    """Return the component (N,) of every voxel: the least row of those it touches; keys are sorted."""
-    count = len(keys)
-    parent = np.arange(count)
-    for dx in range(2):
-        for dy in range(-1, 2):
-            step, j = (dx << 42) + (dy << 21), 0
-            for i in range(count):
-                low = keys[i] + step - 1
-                while j < count and keys[j] < low:
-                    j += 1
-                other = j
-                while other < count and keys[other] <= low + 2:
-                    a, b = _root(parent, i), _root(parent, other)
-                    if a < b:
-                        parent[b] = a
-                    else:
-                        parent[a] = b
-                    other += 1
-    for i in range(count):
-        parent[i] = _root(parent, i)
-    return parent
-
-
 @dataclass(frozen=True)
 class _Doubtful:
     """Voxels that may have moved: row in the grid, own evidence, and whether their component may."""
@@ -402,7 +369,7 @@ def _component_chance(
     inside = np.flatnonzero(found.candidate)
     if len(inside) == 0:
         return chance
-    part = connected(keys[inside])
+    part = connected_voxels(keys[inside])
     size = np.maximum(np.bincount(part), 1)
     mean = np.bincount(part, found.own[inside]) / size
     odds = config.prior + mean * np.cbrt(size)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import stable_order
+from subiaco_geo.clouds import VOXEL_LIMIT, stable_order
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.observation_times import (
@@ -22,9 +21,8 @@ from subiaco_geo.observation_times import (
     pending_rows,
 )
 from subiaco_geo.visibility import VisibilityGrid
+from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
 
-_EMPTY = -1
-_LIMIT = 1 << 20  # voxel indices that fit a key, see subiaco_geo.clouds.voxel_keys
 _CACHE_LINE = 64  # [bytes]
 _CELL = np.dtype([("hits", np.uint32), ("passes", np.uint32)])
 _TIMED_CELL = np.dtype([*_CELL.descr, ("looks", np.uint16, (COLUMNS + 1,))])  # one to align
@@ -47,29 +45,10 @@ def _place(key: int) -> int:
 
 
 @numba.njit(cache=True)
-def _slot(index: Ints, key: int) -> int:
-    """Return the slot of a key in an open-addressing table of keys and numbers, or the empty slot for it."""
-    mask = np.uint64(len(index) - 1)
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    slot = (mixed ^ (mixed >> np.uint64(32))) & mask
-    while index[slot, 0] != key and index[slot, 0] != _EMPTY:
-        slot = (slot + np.uint64(1)) & mask
-    return slot  # type: ignore[return-value]
-
-
-@numba.njit(cache=True)
-def _enter(keys: Ints, index: Ints) -> None:
-    """Fill an empty table with keys (N,), each once, and their numbers."""
-    for number in range(len(keys)):
-        slot = _slot(index, keys[number])
-        index[slot, 0], index[slot, 1] = keys[number], number
-
-
-@numba.njit(cache=True)
 def _first_cell(index: Ints, used: Ints, block: int) -> int:
     """Return the first cell of a block, which is given the next free ones where it is new."""
-    slot = _slot(index, block)
-    if index[slot, 0] == _EMPTY:
+    slot = find_slot(index, block)
+    if index[slot, 0] == EMPTY:
         index[slot, 0], index[slot, 1] = block, used[0]
         used[0] += 1
     return index[slot, 1] * _CELLS
@@ -78,7 +57,7 @@ def _first_cell(index: Ints, used: Ints, block: int) -> int:
 def _in_order(index: Ints, count: int) -> Ints:
     """Return the keys (N,) of a table in the order of their numbers."""
     keys = np.empty(count, dtype=np.int64)
-    held = index[index[:, 0] != _EMPTY]
+    held = index[index[:, 0] != EMPTY]
     keys[held[:, 1]] = held[:, 0]
     return keys
 
@@ -88,11 +67,11 @@ def _touch(
     points: Floats, first: int, blocks: int, index: Ints, used: Ints, looks: Rows, window: int, least: int
 ) -> int:
     """Count a hit window at the voxels of points (voxel units) until done or all blocks are used."""
-    last, fresh = np.int64(_EMPTY), 0
+    last, fresh = np.int64(EMPTY), 0
     for i in range(first, len(points)):
         key = np.int64(0)
         for axis in range(3):
-            key = (key << 21) | (np.int64(np.floor(points[i, axis])) + _LIMIT)
+            key = (key << 21) | (np.int64(np.floor(points[i, axis])) + VOXEL_LIMIT)
         if key == last:
             continue
         if used[0] == blocks:
@@ -146,7 +125,7 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
             steps += left[axis]
         if filled + crossed_blocks > blocks:
             break
-        key = ((cell[0] + _LIMIT) << 42) | ((cell[1] + _LIMIT) << 21) | (cell[2] + _LIMIT)
+        key = ((cell[0] + VOXEL_LIMIT) << 42) | ((cell[1] + VOXEL_LIMIT) << 21) | (cell[2] + VOXEL_LIMIT)
         dx, dy, dz = step[0] << 42, step[1] << 21, step[2]
         nx, ny, nz = left
         tx, ty, tz = t_next[0], t_next[1], t_next[2]
@@ -167,13 +146,13 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
         if number + steps + 1 > len(met):
             met = np.concatenate((met, np.empty(len(met) + steps + 1, np.uint64)))
         crossed = steps if returned[ray] else steps + 1
-        block, base = np.int64(_EMPTY), np.int64(0)
+        block, base = np.int64(EMPTY), np.int64(0)
         for i in range(steps + 1):
             key = path[i]
             if key & ~_INSIDE != block:
                 block = key & ~_INSIDE
-                slot = _slot(index, block)
-                if index[slot, 0] == _EMPTY:
+                slot = find_slot(index, block)
+                if index[slot, 0] == EMPTY:
                     index[slot, 0], index[slot, 1] = block, filled
                     filled += 1
                 base = index[slot, 1] * _CELLS
@@ -228,7 +207,7 @@ def _collect(index: Ints, used: Ints, hits: Counts, passes: Counts, looks: Rows,
     """Return keys and cells (2, N) of the voxels at which something was counted."""
     found, n = np.empty((2, used[1]), np.int64), 0
     for slot in range(len(index)):
-        if index[slot, 0] == _EMPTY:
+        if index[slot, 0] == EMPTY:
             continue
         for place in range(_CELLS):
             cell = index[slot, 1] * _CELLS + place
@@ -279,12 +258,12 @@ def _beams(starts: Floats, ends: Floats, origin: Floats, voxel: float) -> tuple[
 
 def _in_voxels(name: str, points: Floats, origin: Floats, voxel: float) -> Floats:
     """Put points (N, 3) [m, world] in voxel units; ``name`` them where they cannot be counted."""
-    units, near = _units(points, origin, voxel, _LIMIT - 1)
+    units, near = _units(points, origin, voxel, VOXEL_LIMIT - 1)
     if not near:
         if not np.isfinite(units).all():
             raise InputError(f"beam {name} hold NaN or infinite coordinates; drop them first")
         raise InputError(
-            f"beam {name} lie more than {_LIMIT} voxels from the grid origin; use a nearer origin"
+            f"beam {name} lie more than {VOXEL_LIMIT} voxels from the grid origin; use a nearer origin"
         )
     return units
 
@@ -333,7 +312,7 @@ class VisibilityAccumulator:
         looks = self._cells["looks"] if self._least else np.zeros((1, 2 * COLUMNS), dtype=np.uint16)[:, ::2]
         self._looks: Rows = looks[:, :COLUMNS]
         self._batch = np.zeros(len(self._cells), dtype=np.uint16)
-        self._index = np.full((2 * blocks, 2), _EMPTY, dtype=np.int64)
+        self._index = empty_table(2 * blocks)
 
     @property
     def _blocks(self) -> int:
@@ -343,7 +322,7 @@ class VisibilityAccumulator:
         cells, index = self._cells, self._index
         self._allocate(1 << int(np.ceil(np.log2(blocks))))
         self._cells[: self.cells] = cells[: self.cells]
-        _enter(_in_order(index, int(self._used[0])), self._index)
+        enter_keys(_in_order(index, int(self._used[0])), self._index)
 
     def touch(self, points: Floats, window: int) -> None:
         """Count a window in which something returned from the voxels of points (N, 3) [m, world].
@@ -433,27 +412,3 @@ class VisibilityAccumulator:
         """Return keys and cells (2, N) of the voxels seen so far, by key."""
         found = self._collected()
         return np.asarray(found[:, stable_order(found[0])])
-
-
-def accumulate_visibility(
-    starts: Floats, ends: Floats, origin: Floats, voxel: float, returned: Flags | None = None
-) -> VisibilityGrid:
-    """Walk beams (N, 3) -> (N, 3) [m, world] once; see :class:`VisibilityAccumulator`."""
-    accumulator = VisibilityAccumulator(origin, voxel)
-    accumulator.add(starts, ends, returned)
-    return accumulator.grid()
-
-
-def merge_grids(grids: Sequence[VisibilityGrid]) -> VisibilityGrid:
-    """Add the counts of grids that share origin and voxel."""
-    if not grids:
-        raise InputError("no visibility grids to merge")
-    first = grids[0]
-    for grid in grids[1:]:
-        if grid.voxel != first.voxel or not np.array_equal(grid.origin, first.origin):
-            raise InputError("visibility grids differ in origin or voxel; build them with the same ones")
-    keys, slots = np.unique(np.concatenate([g.keys for g in grids]), return_inverse=True)
-    hits, passes = np.zeros((2, len(keys)), dtype=np.uint32)
-    np.add.at(hits, slots, np.concatenate([g.hits for g in grids]))
-    np.add.at(passes, slots, np.concatenate([g.passes for g in grids]))
-    return VisibilityGrid(first.origin, first.voxel, keys, hits, passes)

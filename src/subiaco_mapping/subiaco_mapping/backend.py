@@ -18,9 +18,9 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.full_density import FullDensity
 from subiaco_mapping.fusion.map_builder import ProgressCallback, build_map, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
-from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
-from subiaco_mapping.pose_graph.survey_graph import SurveyGraph
 from subiaco_mapping.sequences import SequenceRecord, begin_sequence
+from subiaco_mapping.survey_graph.solution import GraphSolution, LiveEstimate
+from subiaco_mapping.survey_graph.survey_graph import SurveyGraph
 
 
 def sequence_folder(spool: Path, number: int) -> Path:

@@ -14,6 +14,7 @@ from subiaco_geo.datum_shifts import likely_shift
 from subiaco_geo.frames import Floats
 from subiaco_mapping.control_points import PICKED, ControlPoints
 from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.robust_plane import fit_plane
 
 #: Fewer points than this make no accuracy statement (ASPRS Positional Accuracy Standards, edition 2, 2023).
 ENOUGH = 30
@@ -21,7 +22,7 @@ ENOUGH = 30
 HORIZONTAL_95, VERTICAL_95 = 1.7308, 1.96
 _RADIUS = NUMBERS.control_points.radius
 _REACH = NUMBERS.control_points.height_reach
-_TRIM = NUMBERS.control_points.plane_outlier
+_OUTLIER = NUMBERS.control_points.plane_outlier
 _ALIKE = NUMBERS.control_points.common_cause_points
 _FEW = NUMBERS.control_points.plane_points
 
@@ -155,18 +156,8 @@ def check_control(cloud: PointCloud, points: ControlPoints) -> ControlResiduals:
 
 def _surface_offset(around: Floats) -> float:
     """Height at the origin of a plane through points (N, 3), NaN where too few carry one [m]."""
-    kept = np.ones(len(around), dtype=bool)
-    plane = np.zeros(3)
-    for _ in range(3):
-        if np.count_nonzero(kept) < _FEW:
-            return float("nan")
-        design = np.column_stack([around[:, :2], np.ones(len(around))])
-        plane, _, rank, _ = np.linalg.lstsq(design[kept], around[kept, 2], rcond=None)
-        if rank < len(plane):
-            return float("nan")
-        off = np.abs(around[:, 2] - design @ plane)
-        kept = off <= _TRIM * 1.4826 * max(float(np.median(off[kept])), 1e-4)
-    return float(plane[2])
+    plane = fit_plane(around, _FEW, _OUTLIER, floor=1e-4)
+    return float("nan") if plane is None else float(plane[2])
 
 
 def _rms(values: Floats) -> float | None:

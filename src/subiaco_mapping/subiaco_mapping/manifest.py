@@ -51,6 +51,7 @@ LEGEND = {
     "rmse_vertical_m": "the same, vertical [m]",
     "slow_rms_m": "what of that the graph takes for slow errors of the receiver, shared by neighbours [m]",
     "headings_used": "headings of the antenna baseline that act on the map",
+    "headings_refused": "headings without a number, or with a standard deviation of 0.5 rad or more",
     "loops": "places seen twice; in within, between: those that act on the map",
     "proposed_by_estimate": "pairs of submaps that lie near each other by the estimate",
     "proposed_by_descriptor": "further pairs that look alike",

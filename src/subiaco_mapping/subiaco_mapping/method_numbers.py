@@ -217,7 +217,7 @@ class LoopClosureNumbers(StrictModel):
 
 
 class OdometryNumbers(StrictModel):
-    """Numbers of ``odometry/``."""
+    """Numbers of ``odometry/`` and of the velocity filter in ``preprocessing/``."""
 
     first_rounds: int = Field(
         5,
@@ -252,7 +252,7 @@ class OdometryNumbers(StrictModel):
 
 
 class PoseGraphNumbers(StrictModel):
-    """Numbers of ``pose_graph/``."""
+    """Numbers of ``pose_graph/`` and ``survey_graph/``."""
 
     offset_share: float = Field(
         1e-3,

@@ -10,10 +10,10 @@ import numpy as np
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_mapping.checkpoint.scan_spool import Spool
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.loop_closure.submaps import SubmapBuilder
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
+from subiaco_mapping.preprocessing.scan_spool import Spool
 
 
 @dataclass

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.voxel_components import connected_voxels, root_of
 
 
 def voxel_clusters(xyz: Floats, size: float) -> Ints:
@@ -23,47 +24,11 @@ def voxel_clusters(xyz: Floats, size: float) -> Ints:
     keys = voxel_keys(voxel_indices(xyz, size))
     order = np.argsort(keys)
     first = np.append(True, np.diff(keys[order]) > 0)
-    roots = _join(keys[order[first]])
+    roots = connected_voxels(keys[order[first]])
     number = np.cumsum(roots == np.arange(len(roots))) - 1
     labels = np.empty(len(keys), dtype=np.int64)
     labels[order] = number[roots[np.cumsum(first) - 1]]
     return labels
-
-
-_HALF = np.array(
-    [
-        (x << 42) + (y << 21) + z
-        for x in (-1, 0, 1)
-        for y in (-1, 0, 1)
-        for z in (-1, 0, 1)
-        if (x, y, z) > (0, 0, 0)
-    ]
-)  # steps of a voxel key to half of its 26 neighbours
-
-
-@numba.njit(cache=True)
-def _join(keys: Ints) -> Ints:
-    """Least of the sorted voxel keys (M,) that each is joined to, by its place among them."""
-    parent = np.arange(len(keys))
-    for step in _HALF:
-        other = 0  # keys and wanted keys rise together
-        for here in range(len(keys)):
-            while other < len(keys) and keys[other] < keys[here] + step:
-                other += 1
-            if other < len(keys) and keys[other] == keys[here] + step:
-                a, b = _root(parent, here), _root(parent, other)
-                parent[max(a, b)] = min(a, b)
-    for here in range(len(keys)):
-        parent[here] = parent[parent[here]]
-    return parent
-
-
-@numba.njit(cache=True)
-def _root(parent: Ints, node: int) -> int:
-    while parent[node] != node:
-        parent[node] = parent[parent[node]]
-        node = parent[node]
-    return node
 
 
 def connect(count: int, pairs: Ints) -> Ints:
@@ -79,7 +44,7 @@ def _components(count: int, pairs: Ints) -> Ints:
     """Lowest node (count,) that each node is connected to by pairs (E, 2)."""
     parent = np.arange(count)
     for e in range(len(pairs)):
-        a, b = _root(parent, pairs[e, 0]), _root(parent, pairs[e, 1])
+        a, b = root_of(parent, pairs[e, 0]), root_of(parent, pairs[e, 1])
         parent[max(a, b)] = min(a, b)
     for node in range(count):
         parent[node] = parent[parent[node]]

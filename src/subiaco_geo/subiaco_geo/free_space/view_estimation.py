@@ -122,7 +122,17 @@ def blind_arcs(poses: Floats, columns: Floats, useful_range: float) -> Arcs:
 def with_blind_arcs(
     view: SensorView, poses: Floats, columns: Floats, config: ExpectedVisibilityConfig
 ) -> SensorView:
-    """Return the view of an epoch with its blind azimuths: those it states, else :func:`blind_arcs`."""
+    """Return the view of an epoch with its blind azimuths: those it states, else :func:`blind_arcs`.
+
+    Parameters
+    ----------
+    view : SensorView
+    poses : (K, 4, 4) float64
+        Of the whole epoch [m, world].
+    columns : (M, 2) float64
+        Horizontal positions that hold points [m, world].
+    config : ExpectedVisibilityConfig
+    """
     if view.blind is not None:
         return view
     return replace(view, blind=blind_arcs(poses, columns, min(view.useful_range, config.max_range)))

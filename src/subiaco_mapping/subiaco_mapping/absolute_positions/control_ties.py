@@ -12,10 +12,11 @@ from subiaco_mapping.absolute_positions.config import ControlConfig
 from subiaco_mapping.loop_closure.submaps import Submap
 from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.absolute_factors import PointTie
+from subiaco_mapping.robust_plane import fit_plane
 
 _FEW = NUMBERS.absolute_positions.plane_points
 _LAYER = NUMBERS.absolute_positions.layer_height
-_TRIM = NUMBERS.absolute_positions.plane_outlier
+_OUTLIER = NUMBERS.absolute_positions.plane_outlier
 _OPEN = NUMBERS.absolute_positions.open_sigma
 _STEEP = NUMBERS.absolute_positions.level_cosine
 _UPWARDS = np.array([0.0, 0.0, 1.0])
@@ -93,28 +94,12 @@ class SubmapGround:
         if len(around) < _FEW:
             return None
         around = around[around[:, 2] < np.quantile(around[:, 2], 0.2) + _LAYER]
-        plane = _plane(around)
+        plane = fit_plane(around, _FEW, _OUTLIER, floor=1e-3)
         if plane is None:
             return None
         normal = np.array([-plane[0], -plane[1], 1.0])
         normal /= np.linalg.norm(normal)
         return None if normal[2] < _STEEP else Ground(place + plane * _UPWARDS, normal)
-
-
-def _plane(around: Floats) -> Floats | None:
-    """Return slopes and height (3,) of a robust plane z = a x + b y + c; None where points carry none."""
-    kept = np.ones(len(around), dtype=bool)
-    design = np.column_stack([around[:, :2], np.ones(len(around))])
-    plane = np.zeros(3)
-    for _ in range(3):
-        if np.count_nonzero(kept) < _FEW:
-            return None
-        plane, _, rank, _ = np.linalg.lstsq(design[kept], around[kept, 2], rcond=None)
-        if rank < len(plane):
-            return None
-        off = np.abs(around[:, 2] - design @ plane)
-        kept = off <= _TRIM * 1.4826 * max(float(np.median(off[kept])), 1e-3)
-    return np.asarray(plane, dtype=np.float64)
 
 
 def place_points(

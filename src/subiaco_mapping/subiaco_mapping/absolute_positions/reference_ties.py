@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,7 +23,6 @@ from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.absolute_factors import PoseTie
 from subiaco_mapping.pose_graph.factors import as_pose
 
-_LOG = logging.getLogger(__name__)
 _FEW = NUMBERS.absolute_positions.reference_points
 _WEAK = NUMBERS.absolute_positions.weak_sigma
 _OTHER_HEIGHTS = NUMBERS.absolute_positions.height_mismatch

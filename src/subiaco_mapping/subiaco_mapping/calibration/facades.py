@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.calibration.config import CalibrationConfig
 
@@ -56,8 +57,8 @@ def sampled(xyz: Floats, config: CalibrationConfig) -> Floats:
 
 def find_facades(xyz: Floats, up: Floats, config: CalibrationConfig) -> Facades:
     """Return the cubes of a map (N, 3) through which one facade goes; ``up`` (3,) is the vertical."""
-    cell = np.floor(xyz / config.facade_cell).astype(np.int64)
-    key = ((cell[:, 0] + 2**20) << 42) | ((cell[:, 1] + 2**20) << 21) | (cell[:, 2] + 2**20)
+    cell = voxel_indices(xyz, config.facade_cell)
+    key = voxel_keys(cell)
     names, index, counts = np.unique(key, return_inverse=True, return_counts=True)
     inside = xyz - (cell + 0.5) * config.facade_cell
     mean = np.stack([np.bincount(index, inside[:, i]) for i in range(3)], axis=1) / counts[:, None]

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats
-from subiaco_geo.movement import connected
+from subiaco_geo.voxel_components import connected_voxels
 from subiaco_mapping.method_numbers import NUMBERS
 
 _SHARED = NUMBERS.fusion.floor_voxels
@@ -74,7 +74,7 @@ def fragment_shares(
     if len(rest) == 0 or not moved.any():
         return shares
     keys, slot = np.unique(voxel_keys(voxel_indices(xyz[rest], voxel)), return_inverse=True)
-    group = connected(keys)[slot]
+    group = connected_voxels(keys)[slot]
     distance, _ = cKDTree(xyz[moved]).query(xyz[rest], distance_upper_bound=_FRAGMENT_REACH)
     beside = np.bincount(group, np.isfinite(distance)) / np.maximum(np.bincount(group), 1)
     low, high = np.full((2, len(beside), 3), np.inf)

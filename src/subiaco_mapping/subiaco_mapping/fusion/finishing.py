@@ -15,7 +15,6 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.movement import verdicts
 from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED, TimeRecord, VisibilityGrid
-from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above_floor, moved_probability
 from subiaco_mapping.fusion.full_density import DensityTiles, FullDensity
@@ -36,6 +35,7 @@ from subiaco_mapping.fusion.voxel_tiles import (
     tiles_around,
 )
 from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.preprocessing.scan_spool import SpooledScan
 
 _SHOWN = NUMBERS.fusion.beam_sample
 _TURN_NS = 100_000_000  # between scans without stamps
@@ -130,10 +130,20 @@ class MapFusion:
         stamp_ns: int | None = None,
         source: int = 1,
     ) -> None:
-        """Add a scan at ``T_local_lidar``; ``world = matrix @ local + offset`` around it.
+        """Add a scan; scans come in the order of their stamps.
 
-        Scans come in the order of their stamps; one without a stamp is a tenth of a second later
-        than the last. ``source`` numbers its recording from 1.
+        Parameters
+        ----------
+        scan : SpooledScan
+        pose : (4, 4) float64
+            ``T_local_lidar``.
+        matrix : (3, 3) float64
+        offset : (3,) float64
+            World coordinates around the scan are ``matrix @ local + offset`` [m].
+        stamp_ns : int, optional
+            Without a stamp, the scan is a tenth of a second later than the scan before.
+        source : int
+            Number of the recording, from 1.
         """
         in_map = np.eye(4)
         in_map[:3, :3], in_map[:3, 3] = matrix @ pose[:3, :3], matrix @ pose[:3, 3] + offset - self._origin

@@ -20,8 +20,8 @@ from subiaco_geo.codes import ASPRS_CODES, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
 from subiaco_geo.las_writing import las_stream
-from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.voxel_tiles import tile_corner, tile_numbers
+from subiaco_mapping.preprocessing.scan_spool import SpooledScan
 
 #: Folder of the tiles in a map directory, and its index.
 FOLDER, INDEX = "full_density", "tiles.gpkg"

@@ -26,8 +26,8 @@ from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.manifest import CONTRADICTED, LEGEND, describe_sequence, stretches
 from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.config import GnssConfig
-from subiaco_mapping.pose_graph.solution import GraphSolution
 from subiaco_mapping.sequences import SequenceRecord
+from subiaco_mapping.survey_graph.solution import GraphSolution
 
 _VIEWED = NUMBERS.fusion.view_sample
 
@@ -188,6 +188,7 @@ def describe(
             "downweighted": solved.fixes_downweighted,
             "contradicting": solved.fixes_contradicting,
             "headings_used": solved.headings_used,
+            "headings_refused": solved.headings_refused,
             "states": solved.gnss_states,
         }
         if solved.fixes_contradicting > config.max_contradicting * solved.fixes_used:

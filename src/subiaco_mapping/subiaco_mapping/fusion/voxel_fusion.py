@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,36 +11,15 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import PointCloud, from_world, stable_order, unpack_voxel_keys
+from subiaco_geo.clouds import VOXEL_LIMIT, stable_order, unpack_voxel_keys
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats, Ints, transform_points
-from subiaco_mapping.checkpoint.scan_spool import SpooledScan
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
 from subiaco_mapping.fusion.config import FusionConfig
-from subiaco_mapping.fusion.outliers import isolated_points
+from subiaco_mapping.preprocessing.scan_spool import SpooledScan
 
-_EMPTY = -1
-_LIMIT = 1 << 20
 _COLUMNS = 14
 _PART = 1 << 14  # points that are added at a time
-
-
-@numba.njit(cache=True)
-def _slot(index: Ints, key: int) -> int:
-    """Return the slot of a key in an open-addressing table of keys and rows, or the empty slot for it."""
-    mask = np.uint64(len(index) - 1)
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    slot = (mixed ^ (mixed >> np.uint64(32))) & mask
-    while index[slot, 0] != key and index[slot, 0] != _EMPTY:
-        slot = (slot + np.uint64(1)) & mask
-    return slot  # type: ignore[return-value]
-
-
-@numba.njit(cache=True)
-def _enter(keys: Ints, index: Ints) -> None:
-    """Fill an empty table with keys (N,), each once, and their rows."""
-    for number in range(len(keys)):
-        slot = _slot(index, keys[number])
-        index[slot, 0], index[slot, 1] = keys[number], number
 
 
 @numba.njit(cache=True)
@@ -54,9 +33,13 @@ def _accumulate(xyz, intensity, sensor, leaf, index, keys, counts, sums, used): 
     for i in range(len(xyz)):
         x, y, z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
         cx, cy, cz = np.floor(x / leaf), np.floor(y / leaf), np.floor(z / leaf)
-        key = ((np.int64(cx) + _LIMIT) << 42) | ((np.int64(cy) + _LIMIT) << 21) | (np.int64(cz) + _LIMIT)
-        slot = _slot(index, key)
-        if index[slot, 0] == _EMPTY:
+        key = (
+            ((np.int64(cx) + VOXEL_LIMIT) << 42)
+            | ((np.int64(cy) + VOXEL_LIMIT) << 21)
+            | (np.int64(cz) + VOXEL_LIMIT)
+        )
+        slot = find_slot(index, key)
+        if index[slot, 0] == EMPTY:
             index[slot, 0], index[slot, 1], keys[used] = key, used, key
             used += 1
         row = index[slot, 1]
@@ -144,14 +127,14 @@ class VoxelAccumulator:
             rows = np.zeros((size, *old.shape[1:]), dtype=old.dtype)
             rows[: self._used] = old[: self._used]
             setattr(self, name, rows)
-        self._index = np.full((2 * size, 2), _EMPTY, dtype=np.int64)
-        _enter(self._keys[: self._used], self._index)
+        self._index = empty_table(2 * size)
+        enter_keys(self._keys[: self._used], self._index)
 
     def add(self, xyz: Floats, intensity: NDArray[np.float32], sensor: Floats) -> None:
         """Add points (N, 3) [m] seen from a sensor position (3,)."""
         if len(xyz) == 0:
             return
-        if not np.abs(xyz).max() < self.leaf * (_LIMIT - 1):  # NaN neither
+        if not np.abs(xyz).max() < self.leaf * (VOXEL_LIMIT - 1):  # NaN neither
             raise InputError("fused map: points are not finite or too far from the local origin")
         for start in range(0, len(xyz), _PART):
             part = slice(start, start + _PART)
@@ -169,7 +152,7 @@ class VoxelAccumulator:
 
     def clear(self) -> None:
         """Forget everything; the table keeps its size."""
-        self._index.fill(_EMPTY)
+        self._index.fill(EMPTY)
         self._counts[: self._used] = 0
         self._sums[: self._used] = 0.0
         self._used = 0
@@ -204,69 +187,10 @@ def oriented_normals(xyz: Floats, view: Floats, neighbours: int, threads: int) -
     return normals
 
 
-def fused_cloud(
-    accumulator: VoxelAccumulator,
-    config: FusionConfig,
-    threads: int,
-    project: Callable[[Floats], Floats],
-    rotate: Callable[[Floats, Floats], Floats],
-    crs: str | None,
-    spacing: float = 0.0,
-) -> PointCloud:
-    """Finish the map.
-
-    Parameters
-    ----------
-    accumulator : VoxelAccumulator
-    config : FusionConfig
-    threads : int
-    project : callable
-        Local points (N, 3) to the map's world coordinates.
-    rotate : callable
-        Local points and directions (N, 3) to directions in map axes.
-    crs : str or None
-    spacing : float
-        Of the beams, see :func:`subiaco_mapping.fusion.outliers.beam_spacing` [rad].
-
-    Returns
-    -------
-    PointCloud
-        With intensity, normals, ``n`` and ``spread``: the standard deviation of a voxel's points
-        along its normal [m], 0 where ``n`` is 1.
-
-    Raises
-    ------
-    InputError
-        Fewer than 10 voxels are left.
-    """
-    found = accumulator.statistics()
-    found = found.select(found.n >= config.min_points)
-    found = found.select(~isolated_points(found.mean, found.reach, spacing, config, threads))
-    if len(found) < 10:
-        raise InputError(f"fused map: {len(found)} points are left; check range limits and extrinsics")
-    normals = oriented_normals(found.mean, found.view, config.normal_neighbours, threads)
-    variance = np.einsum("ni,nij,nj->n", normals, found.covariance, normals)
-    return from_world(
-        project(found.mean),
-        crs,
-        intensity=found.intensity,
-        normals=rotate(found.mean, normals),
-        n=found.n,
-        spread=np.sqrt(np.maximum(variance, 0.0)).astype(np.float32),
-    )
-
-
 def within(xyz: Floats, max_range: float) -> NDArray[np.bool_]:
     """Mark sensor points (N, 3) within a range [m]."""
     x, y, z = xyz.T
     return np.asarray(x * x + y * y + z * z <= max_range**2)
-
-
-def add_scan(
-    accumulator: VoxelAccumulator, xyz: Floats, intensity: NDArray[np.float32], T_local_lidar: Floats
-) -> None:
-    """Add one deskewed scan (N, 3) in ``lidar_link`` from its pose."""
-    accumulator.add(transform_points(T_local_lidar, xyz), intensity, T_local_lidar[:3, 3])
 
 
 def visibility_beams(

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import stable_order, unpack_voxel_columns
+from subiaco_geo.clouds import VOXEL_LIMIT, stable_order, unpack_voxel_columns
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.observation_times import (
     COLUMNS,
@@ -26,7 +26,6 @@ from subiaco_geo.voxel_traversal import VisibilityAccumulator
 from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, VoxelStatistics, statistics_of
 
 _SHIFT = 21
-_REACH = 1 << 20
 _ROOM = 1 << 22  # first size of a visibility layer [voxels]; what is not used of it takes no memory
 _NEAR_TILES = 12  # tiles kept at hand: one with its neighbours, and some
 
@@ -38,7 +37,7 @@ Value = TypeVar("Value")
 def tile_numbers(index: Ints, edge: int) -> Ints:
     """Return the tile (N,) of voxel indices (N, 2 or more); x major."""
     column, row = index[:, 0] // edge, index[:, 1] // edge
-    return np.asarray(((column + _REACH) << _SHIFT) | (row + _REACH))
+    return np.asarray(((column + VOXEL_LIMIT) << _SHIFT) | (row + VOXEL_LIMIT))
 
 
 def tiles_around(tile: int) -> list[int]:
@@ -48,7 +47,7 @@ def tiles_around(tile: int) -> list[int]:
 
 def tile_corner(tile: int, edge: int) -> Ints:
     """Return the voxel index (2,) of a tile's lower corner."""
-    return np.array([(tile >> _SHIFT) - _REACH, (tile & ((1 << _SHIFT) - 1)) - _REACH]) * edge
+    return np.array([(tile >> _SHIFT) - VOXEL_LIMIT, (tile & ((1 << _SHIFT) - 1)) - VOXEL_LIMIT]) * edge
 
 
 def _grouped(keys: Ints) -> tuple[Ints, Ints, Ints]:

@@ -27,9 +27,7 @@ class OffsetWatch:
         self._step_ns = int(step * 1e9)
         self._recent: deque[tuple[int, int]] = deque()
         self._minima: deque[tuple[int, int]] = deque()
-        self._last_stamp_ns: int | None = None
         self.offset_ns: int | None = None
-        self.backwards = 0
         self.not_utc = False
         self._settled = False
         self.steps: list[tuple[int, int]] = []
@@ -39,9 +37,6 @@ class OffsetWatch:
         self.not_utc = stamp_ns < _UTC_NS
         if self.not_utc:
             return
-        if self._last_stamp_ns is not None and stamp_ns < self._last_stamp_ns - self._step_ns:
-            self.backwards += 1
-        self._last_stamp_ns = stamp_ns
         difference = arrival_ns - stamp_ns
         self._recent.append((now_ns, difference))
         while self._recent[0][0] < now_ns - _WINDOW_NS and len(self._recent) > 3:

@@ -173,10 +173,6 @@ class Monitor:
         """Take whether the packets' publisher sends again what is lost."""
         self.flags.set("best_effort", not reliable, now_ns, "packets", "lidar")
 
-    def on_death(self, name: str, how: str, now_ns: int) -> None:
-        """Take the death of a process."""
-        self.flags.event("node_died", now_ns, how, name)
-
     def _take(self, stream: str, now_ns: int) -> None:
         if self.start_ns is None:
             self.start_ns = now_ns

@@ -11,7 +11,7 @@ from ouster.sdk import core
 
 from subiaco_geo.bags import packet_from_cdr
 from subiaco_mapping.preprocessing.config import DecodeConfig
-from subiaco_mapping.preprocessing.decode import expected_columns, parse_metadata, utc_shift_ns
+from subiaco_mapping.preprocessing.decode import parse_metadata, utc_shift_ns
 from subiaco_mapping.recording.losses import PacketCounter, PacketHeaders
 
 _SECOND_NS = 1_000_000_000
@@ -74,8 +74,6 @@ class PacketWatch:
         self.counter = PacketCounter(metadata)
         self.received = 0 if before is None else self.counter.take_headers(before)
         self.timestamp_mode = str(info.config.timestamp_mode or "").rpartition(".")[2]
-        per_turn = int(expected_columns(info).sum()) // int(info.format.columns_per_packet)
-        self.packets_per_second = per_turn * float(info.format.fps)
 
     def take(self, raw: bytes | memoryview) -> PacketNote | None:
         """Look at one serialised packet message; None where it is none of this sensor's."""

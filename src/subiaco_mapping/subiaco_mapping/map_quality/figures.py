@@ -17,7 +17,7 @@ from subiaco_mapping.map_quality.gnss_holdout import FixErrors, fix_errors, hold
 from subiaco_mapping.map_quality.time_series import STATES, Series, series_of
 from subiaco_mapping.map_quality.verdict import checks, verdict
 from subiaco_mapping.map_quality.wall_thickness import WallCoverage, Walls, coverage, wall_thickness
-from subiaco_mapping.pose_graph.solution import GraphSolution
+from subiaco_mapping.survey_graph.solution import GraphSolution
 
 _DAY_NS = 86_400_000_000_000
 

@@ -14,8 +14,8 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.map_quality.config import MapQualityConfig
 from subiaco_mapping.pose_graph.gnss import enough_to_place
 from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors
-from subiaco_mapping.pose_graph.solution import GraphSolution
 from subiaco_mapping.pose_graph.solver import solve
+from subiaco_mapping.survey_graph.solution import GraphSolution
 
 # chi-square, 3 degrees of freedom
 _MEDIAN, _LIMIT_95, _CONTRADICTS = 2.366, 7.815, 16.27

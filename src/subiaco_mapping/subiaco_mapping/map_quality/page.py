@@ -14,7 +14,7 @@ from subiaco_mapping.manifest import LEGEND
 from subiaco_mapping.map_quality import plots as drawing
 from subiaco_mapping.map_quality.figures import Assessment, assess
 from subiaco_mapping.map_quality.verdict import amount
-from subiaco_mapping.pose_graph.solution import GraphSolution
+from subiaco_mapping.survey_graph.solution import GraphSolution
 
 PAGE, FIGURES = "quality.html", "quality.json"
 

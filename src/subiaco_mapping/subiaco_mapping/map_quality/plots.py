@@ -16,7 +16,7 @@ from subiaco_geo.frames import Floats
 from subiaco_mapping.map_quality.figures import Assessment
 from subiaco_mapping.map_quality.gnss_holdout import FixErrors
 from subiaco_mapping.map_quality.time_series import STATES, Series
-from subiaco_mapping.pose_graph.solution import GraphSolution
+from subiaco_mapping.survey_graph.solution import GraphSolution
 
 #: Colours that can be distinguished without red and green.
 STATE_COLOURS = {2: "#0072b2", 1: "#e69f00", 0: "#d55e00", -1: "#8a8a8a"}

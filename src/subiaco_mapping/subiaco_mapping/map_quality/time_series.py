@@ -10,7 +10,7 @@ from subiaco_geo.frames import Floats, Ints, invert_pose
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.pose_graph.records import Chain
-from subiaco_mapping.pose_graph.solution import GraphSolution, SequenceSolution
+from subiaco_mapping.survey_graph.solution import GraphSolution, SequenceSolution
 
 #: RTK states of a pose: no fix near it, then the states of the fixes.
 STATES = {-1: "no fix", 0: "single", 1: "float", 2: "RTK fixed"}

@@ -79,13 +79,6 @@ class FlowControl:
         """Whether everything sent has been consumed by all who take it."""
         return all(self.in_flight(topic) == 0 for topic in self.totals)
 
-    def describe_waiting(self) -> str:
-        """Say in words what is awaited."""
-        if self.missing:
-            return "nodes " + ", ".join(self.missing)
-        behind = {topic: self.in_flight(topic) for topic in self.totals}
-        return ", ".join(f"{n} of {topic}" for topic, n in behind.items() if n) or "nothing"
-
 
 class ConsumedCounter:
     """The consuming side: counts to send back, in small batches.

@@ -12,7 +12,7 @@ from subiaco_mapping.fusion.preview import LivePreview
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics
 from subiaco_mapping.nodes.extrinsics import StaticTransforms
 from subiaco_mapping.nodes.map_publisher import MapPublisher, thinned
-from subiaco_mapping.pose_graph.solution import GraphSolution
+from subiaco_mapping.survey_graph.solution import GraphSolution
 
 LOGGER = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
+from subiaco_mapping.survey_graph.solution import GraphSolution, LiveEstimate
 from subiaco_ros.local_frame import LocalFrame, earth_from_enu
 from subiaco_ros.messages import cloud_message, origin_message, path_message, transform_message, xyz_cloud
 from subiaco_ros.node_process import wait_until_received

@@ -50,8 +50,8 @@ from subiaco_mapping.nodes.names import (
     SEQUENCE,
     SKY,
 )
-from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, stamp_ns
+from subiaco_mapping.survey_graph.solution import GraphSolution, LiveEstimate
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
 from subiaco_ros.diagnostics import Diagnostics, ProgressReporter

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,8 +13,6 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.topics import LATCHED, MESSAGE_TYPES
 from subiaco_mapping.nodes.flow import FlowControl
 from subiaco_mapping.nodes.names import END, SEQUENCE
-
-LOGGER = logging.getLogger(__name__)
 
 #: Most messages in flight: packets two scans of 1024 columns, whole clouds a few.
 WINDOWS: dict[str, int] = {"/ouster/lidar_packets": 128, "/lidar/points": 4, SEQUENCE: 1, END: 1}

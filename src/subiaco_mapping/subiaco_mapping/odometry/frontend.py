@@ -68,11 +68,6 @@ class OdometryFrontend:
         """Packet counts; zeros where clouds come instead of packets."""
         return self._decoder.counts if self._decoder is not None else DecodeCounts()
 
-    @property
-    def deskewer(self) -> Deskewer:
-        """The deskewer, for its bias and counts."""
-        return self._deskewer
-
     def set_metadata(self, metadata: str) -> None:
         """Give the sensor's metadata; a second time it is ignored."""
         if self._decoder is None:

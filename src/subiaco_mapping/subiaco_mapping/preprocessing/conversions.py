@@ -21,9 +21,8 @@ from subiaco_mapping.measurements import (
     Returns,
     Scan,
 )
-from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.preprocessing.config import FramePose, SensorsConfig
-from subiaco_mapping.preprocessing.gnss_drivers import rtk_state
+from subiaco_mapping.preprocessing.gnss_drivers import StatusReading, rtk_state
 from subiaco_mapping.preprocessing.point_times import TIME_FIELDS, point_times
 
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -47,7 +46,7 @@ def imu_from_msg(message: Any) -> ImuSample:
     )
 
 
-def fix_from_msg(message: Any, config: GnssConfig) -> GnssFix:
+def fix_from_msg(message: Any, config: StatusReading) -> GnssFix:
     """Convert a sensor_msgs/NavSatFix; the driver profile says what its status means."""
     covariance = np.array(message.position_covariance, dtype=np.float64).reshape(3, 3)
     return GnssFix(

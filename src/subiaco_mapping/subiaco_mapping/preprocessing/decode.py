@@ -15,14 +15,12 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.measurements import Returns, Scan
 from subiaco_mapping.preprocessing.config import DecodeConfig
+from subiaco_mapping.preprocessing.frame_numbers import FrameUnwrapper
 from subiaco_mapping.preprocessing.sky import sky_mask, thinned
 
 logger = logging.getLogger(__name__)
 
 GPS_MINUS_TAI_S = -19
-#: A frame further ahead than an outage may last, or further back than a packet may be late, is of another
-#: run of the sensor: a driver that was started again, or a bag that is played in a loop.
-RESTART_FRAMES, LATE_FRAMES = 600, 10
 _MAX_PIXELS, _MAX_COLUMNS = 1024, 16384
 
 
@@ -231,7 +229,7 @@ class PacketDecoder:
         self._config = config
         self._layout = _layout(metadata_json)
         self._open: dict[int, _Frame] = {}
-        self._newest: int | None = None
+        self._frames = FrameUnwrapper(int(self._layout.packets.max_frame_id) + 1)
         self._closed: int | None = None
         self._init_id: int | None = None
         self._latest = (-1, -1)  # frame and column
@@ -249,15 +247,15 @@ class PacketDecoder:
         if len(data) != self.packet_size:
             self.counts.malformed += 1
             return []
-        scans = self._restart_if_new_session(data)
-        number = self._unwrap(int(self._layout.packets.frame_id(data)))
-        if self._newest is not None and not -LATE_FRAMES <= number - self._newest <= RESTART_FRAMES:
-            scans += self._restart()
-            number = int(self._layout.packets.frame_id(data))
+        frame_id = int(self._layout.packets.frame_id(data))
+        scans = self._restart_if_new_session(data, frame_id)
+        number = self._frames.number_of(frame_id)
+        if number is None:
+            scans += self._restart(frame_id)
+            number = frame_id
         if self._closed is not None and number <= self._closed:
             self.counts.late += 1
             return scans
-        self._newest = number if self._newest is None else max(self._newest, number)
         if number not in self._open:
             self._open[number] = self._new_frame(number)
         self._store(self._open[number], data)
@@ -268,26 +266,20 @@ class PacketDecoder:
         scans = [self._close(number) for number in sorted(self._open)]
         return [scan for scan in scans if scan is not None]
 
-    def _restart(self) -> list[Scan]:
+    def _restart(self, frame_id: int) -> list[Scan]:
         scans = self.flush()
-        self._closed = self._newest = None
+        self._frames.restart(frame_id)
+        self._closed = None
         self._latest = (-1, -1)
         self.counts.restarts += 1
         logger.warning("the sensor restarted its frame count; a new run of frames begins")
         return scans
 
-    def _restart_if_new_session(self, data: NDArray[np.uint8]) -> list[Scan]:
+    def _restart_if_new_session(self, data: NDArray[np.uint8], frame_id: int) -> list[Scan]:
         init_id = int(self._layout.packets.init_id(data))
         changed = self._init_id is not None and init_id != self._init_id
         self._init_id = init_id
-        return self._restart() if changed else []
-
-    def _unwrap(self, frame_id: int) -> int:
-        if self._newest is None:
-            return frame_id
-        modulus = int(self._layout.packets.max_frame_id) + 1
-        step = (frame_id - self._newest + modulus // 2) % modulus - modulus // 2
-        return self._newest + step
+        return self._restart(frame_id) if changed else []
 
     def _new_frame(self, number: int) -> _Frame:
         layout = self._layout

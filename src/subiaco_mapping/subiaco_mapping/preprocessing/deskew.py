@@ -1,9 +1,9 @@
 """Deskewing: every point of a scan moved to the time of the scan's last column.
 
 Rotation comes from the gyro, translation from the accelerometer and the velocity that a filter holds
-(:mod:`subiaco_mapping.odometry.velocity_filter`). Until the filter is sure the odometry's last velocity is
-held, in body axes; without the IMU the whole last twist. Constant velocity after a
-gap must use the true time step.
+(:mod:`subiaco_mapping.preprocessing.velocity_filter`). Until the filter is sure the odometry's last velocity
+is held, in body axes; without the IMU the whole last twist. Constant velocity after a gap must use the true
+time step.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from subiaco_geo.frames import Floats, Ints, make_pose
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, Returns, Scan
 from subiaco_mapping.method_numbers import NUMBERS
-from subiaco_mapping.odometry.velocity_filter import VelocityFilter, imu_stretch, rotations_of, summed
 from subiaco_mapping.preprocessing.config import DeskewConfig
+from subiaco_mapping.preprocessing.velocity_filter import VelocityFilter, imu_stretch, rotations_of, summed
 
 STANDING_SAMPLES = NUMBERS.preprocessing.standing_samples
 

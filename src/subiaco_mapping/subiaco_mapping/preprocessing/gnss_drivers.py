@@ -8,7 +8,7 @@ stated covariance does.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -26,6 +26,22 @@ _HABITS: dict[str, dict[int, tuple[int, bool]]] = {
     "septentrio": {2: (FIXED, True), 1: (SINGLE, False), 0: (SINGLE, False)},
     "covariance": {2: (FIXED, True), 1: (FIXED, True), 0: (FIXED, True)},
 }
+
+
+class StatusReading(Protocol):
+    """Settings that say what the status of a fix means: the driver, and the limits of :func:`rtk_state`."""
+
+    @property
+    def driver(self) -> DriverName:
+        """Driver that sends the fixes."""
+
+    @property
+    def fixed_below(self) -> float:
+        """Horizontal standard deviation below which a fix counts as fixed [m]."""
+
+    @property
+    def float_below(self) -> float:
+        """Horizontal standard deviation below which a fix counts as float [m]."""
 
 
 def rtk_state(

@@ -14,11 +14,10 @@ from subiaco_geo.bags import packet_from_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
 from subiaco_geo.topics import FIX, IMU, MESSAGE_TYPES, POINTS
+from subiaco_mapping.preprocessing.frame_numbers import FrameUnwrapper
 
 _STAMP = struct.Struct("<iI")
 _CDR_HEAD = 4
-#: Packets further ahead or further behind are of another run of the sensor, as in the decoder; no loss.
-_RESTART_FRAMES, _LATE_FRAMES = 600, 10
 _REMEMBERED = 4096
 _AROUND = 20  # messages on either side of a step that tell whether some are missing
 _FEWEST = 5
@@ -196,7 +195,7 @@ class PacketCounter:
         self.counts = counts or PacketCounts()
         self._column_id = core.ColHeader.MEASUREMENT_ID
         self._format: Any = core.PacketFormat(info)
-        self._modulus = int(self._format.max_frame_id) + 1
+        self._frames = FrameUnwrapper(int(self._format.max_frame_id) + 1)
         self._per_packet = int(info.format.columns_per_packet)
         sent = expected_columns(info).reshape(-1, self._per_packet).any(axis=1)
         self._place: list[int] = np.where(sent, np.cumsum(sent) - 1, -1).tolist()
@@ -246,16 +245,16 @@ class PacketCounter:
 
     def _begin(self, frame_id: int, place: int, *, restarted: bool) -> None:
         self.counts.restarts += restarted
-        self._newest = frame_id * self._in_frame + place
+        self._newest = self._frames.restart(frame_id) * self._in_frame + place
         self._missing.clear()
 
     def _follow(self, newest: int, frame_id: int, place: int) -> None:
-        turn = newest // self._in_frame
-        step = (frame_id - turn + self._modulus // 2) % self._modulus - self._modulus // 2
-        number = (turn + step) * self._in_frame + place
-        if not -_LATE_FRAMES <= step <= _RESTART_FRAMES:
+        frame = self._frames.number_of(frame_id)
+        if frame is None:
             self._begin(frame_id, place, restarted=True)
-        elif number > newest:
+            return
+        number = frame * self._in_frame + place
+        if number > newest:
             self._advance(newest, number)
         elif number in self._missing:
             del self._missing[number]

@@ -30,7 +30,7 @@ class SequenceSolution:
     fixes_used, fixes_refused, fixes_unattached, fixes_downweighted : int
     gnss_states : dict
         Counts and residuals by RTK state, see :func:`subiaco_mapping.manifest.describe_fixes`.
-    headings_used : int
+    headings_used, headings_refused : int
     fixes_contradicting : int
         Used fixes that the map is farther off than 99.9 % of what was stated.
     """
@@ -46,6 +46,7 @@ class SequenceSolution:
     fixes_downweighted: int
     gnss_states: dict[str, Any] = field(default_factory=dict)
     headings_used: int = 0
+    headings_refused: int = 0
     fixes_contradicting: int = 0
 
 

@@ -16,8 +16,8 @@ from subiaco_mapping.pose_graph import gnss
 from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.pose_graph.gravity import gravity_priors
 from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors, HeadingPriors
-from subiaco_mapping.pose_graph.solution import SequenceSolution
 from subiaco_mapping.sequences import SequenceRecord
+from subiaco_mapping.survey_graph.solution import SequenceSolution
 
 _OUTSIDE = NUMBERS.pose_graph.fix_outlier
 
@@ -160,6 +160,7 @@ def summary(sequence: SequenceRecord, chain: Chain, solution: ChainSolution) -> 
         fixes_downweighted=int((solution.weights < 0.3).sum()),
         gnss_states=describe_fixes(status, received, solution),
         headings_used=0 if chain.heading is None else len(chain.heading.index),
+        headings_refused=sequence.refused_headings,
         fixes_contradicting=outside,
     )
 

@@ -19,16 +19,16 @@ from subiaco_mapping.loop_closure.places import SubmapPlace
 from subiaco_mapping.loop_closure.sequence_joining import join
 from subiaco_mapping.pose_graph.incremental import LiveGraph
 from subiaco_mapping.pose_graph.records import Chain, LoopEdge, Solved
-from subiaco_mapping.pose_graph.sequence_chains import Placement, chain_of, place_sequences, summary
-from subiaco_mapping.pose_graph.solution import (
+from subiaco_mapping.pose_graph.solver import solve
+from subiaco_mapping.sequences import SequenceRecord
+from subiaco_mapping.survey_graph.sequence_chains import Placement, chain_of, place_sequences, summary
+from subiaco_mapping.survey_graph.solution import (
     GraphSolution,
     LiveEstimate,
     LiveSequence,
     LoopFacts,
     SolvedGraph,
 )
-from subiaco_mapping.pose_graph.solver import solve
-from subiaco_mapping.sequences import SequenceRecord
 
 logger = logging.getLogger(__name__)
 
