@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
+from subiaco_geo.clouds import VOXEL_LIMIT, stable_order, voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints, exp_se3
 
 _D2 = NUMBERS.ndt.mixture_width
@@ -79,7 +79,7 @@ def distributions(xyz: Floats, cell: float, min_count: int = 6, noise: float = 0
 @numba.njit(cache=True, inline="always")
 def _key_at(x: float, y: float, z: float, cell: float) -> int:
     """Return the key of the voxel of a place [m]; -1 at the rim of what keys can name."""
-    limit = 1 << 20
+    limit = VOXEL_LIMIT
     i, j, k = np.int64(np.floor(x / cell)), np.int64(np.floor(y / cell)), np.int64(np.floor(z / cell))
     if max(abs(i), abs(j), abs(k)) >= limit - 1:
         return -1

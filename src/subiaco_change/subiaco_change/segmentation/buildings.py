@@ -9,11 +9,10 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
-from subiaco_change.segmentation.clustering import connect, group_reduce, voxel_clusters
+from subiaco_change.segmentation.clustering import connect, group_reduce, voxel_clusters, voxel_means
 from subiaco_change.segmentation.config import BuildingConfig
 from subiaco_change.segmentation.features import Features, compute_features
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 
 
@@ -63,9 +62,7 @@ def thick_walls(xyz: Floats, height: Floats, free: Mask, config: BuildingConfig)
     members = np.flatnonzero(free & (height > config.under_gap))
     if len(members) < 4:
         return walls
-    _, cell = np.unique(voxel_keys(voxel_indices(xyz[members], config.thick_cell)), return_inverse=True)
-    count = np.bincount(cell)
-    middle = np.stack([np.bincount(cell, xyz[members, i]) / count for i in range(3)], axis=1)
+    middle, cell = voxel_means(xyz[members], config.thick_cell)
     shape = compute_features(middle, config.thick)
     upright = np.abs(shape.normals[:, 2]) < config.facade_slope
     sheet = upright & (shape.roughness < config.thick_roughness) & (shape.linearity < config.max_linearity)
@@ -75,7 +72,7 @@ def thick_walls(xyz: Floats, height: Floats, free: Mask, config: BuildingConfig)
     inside = patches.label >= 0
     top = group_reduce(
         patches.label[inside],
-        (np.bincount(cell, height[members]) / count)[inside],
+        (np.bincount(cell, height[members]) / np.bincount(cell))[inside],
         len(patches.area),
         "maximum",
     )
@@ -217,7 +214,7 @@ def attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: Bui
 
 
 @switchable("thin_runs", none_of_them)
-def find_wires(xyz: Floats, height: Floats, roughness: Floats, hard: Mask, config: BuildingConfig) -> Mask:
+def thin_runs(xyz: Floats, height: Floats, roughness: Floats, hard: Mask, config: BuildingConfig) -> Mask:
     """Tell which hard points are wires, high, thin and long: no part of the crowns around them."""
     thin = np.flatnonzero(hard & (height > config.wire_height) & (roughness < config.wire_roughness))
     wires = np.zeros(len(xyz), dtype=bool)

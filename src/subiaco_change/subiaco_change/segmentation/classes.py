@@ -15,9 +15,9 @@ from subiaco_change.method_rules.switches import none_of_them, rule_mask, switch
 from subiaco_change.segmentation.buildings import (
     attach_parts,
     building_planes,
-    find_wires,
     join_parts,
     thick_walls,
+    thin_runs,
     within_roofs,
 )
 from subiaco_change.segmentation.clustering import group_indices, group_reduce, voxel_clusters
@@ -239,7 +239,7 @@ def _classify(
     is_building = attach_parts(xyz, core | below, rest & ~apart, foliage, config.buildings)
     semantic[is_building] = Semantic.BUILDING
     rest &= ~is_building
-    rest &= ~find_wires(xyz, height, features.roughness, rest & ~foliage, config.buildings)
+    rest &= ~thin_runs(xyz, height, features.roughness, rest & ~foliage, config.buildings)
     upright = (np.abs(features.normals[:, 2]) < config.buildings.facade_slope) & (
         features.roughness < config.buildings.plane_offset
     )

@@ -105,3 +105,10 @@ def _medians(labels: Ints, values: Floats, counts: Ints) -> Floats:
             own = np.sort(gathered[starts[region] : starts[region + 1]])
             medians[region] = (own[(size - 1) // 2] + own[size // 2]) / 2
     return medians
+
+
+def voxel_means(xyz: Floats, edge: float) -> tuple[Floats, Ints]:
+    """Mean (M, 3) of the points of every occupied voxel, and the voxel (N,) of every point."""
+    _, cell = np.unique(voxel_keys(voxel_indices(xyz, edge)), return_inverse=True)
+    count = np.bincount(cell)
+    return np.stack([np.bincount(cell, xyz[:, i]) / count for i in range(3)], axis=1), cell

@@ -16,9 +16,8 @@ from scipy.spatial import cKDTree
 from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
-from subiaco_change.segmentation.clustering import cell_clusters, connect, group_indices
+from subiaco_change.segmentation.clustering import cell_clusters, connect, group_indices, voxel_means
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -140,7 +139,7 @@ def find_wires(xyz: Floats, height: Floats, reach: Floats, free: Mask, config: L
     high = np.flatnonzero(free & (height > config.wire_height))
     if len(high) < 8:
         return found
-    middle, cell = _cell_means(xyz[high], config.wire_cell)
+    middle, cell = voxel_means(xyz[high], config.wire_cell)
     sparse = np.bincount(cell, reach[high]) > config.wire_far * np.bincount(cell)
     thin, direction = _thin(middle, np.flatnonzero(sparse), config)
     for run in group_indices(_joined(middle[thin], direction, config)):
@@ -148,13 +147,6 @@ def find_wires(xyz: Floats, height: Floats, reach: Floats, free: Mask, config: L
         if line is not None:
             found[high[_follow(xyz[high], np.isin(cell, thin[run]), line, config)]] = True
     return found
-
-
-def _cell_means(xyz: Floats, edge: float) -> tuple[Floats, Ints]:
-    """Mean (M, 3) of the points of every occupied voxel, and the voxel (N,) of every point."""
-    _, cell = np.unique(voxel_keys(voxel_indices(xyz, edge)), return_inverse=True)
-    count = np.bincount(cell)
-    return np.stack([np.bincount(cell, xyz[:, i]) / count for i in range(3)], axis=1), cell
 
 
 def _thin(middle: Floats, asked: Ints, config: LineConfig) -> tuple[Ints, Floats]:
