@@ -12,7 +12,7 @@ from subiaco_geo.settings import setting_values
 
 _INTRODUCTION = """\
 A rule decides or moves the label of an object, a patch of ground or a point. Each rule is applied in one
-place, and can be switched off: `--set 'rules_off=[hidden_walls]'`. `subiaco ablate --rules` switches off each
+place, and can be switched off: `--set 'rules_off=[thin_volumes]'`. `subiaco ablate --rules` switches off each
 rule in turn and reports what the rule is worth. The rules marked *real data* keep real recordings free of
 false claims and are judged on real pairs too."""
 

@@ -40,7 +40,7 @@ SLICES = {
 }
 
 
-@switchable("hidden_walls", first_argument)
+@switchable("thin_volumes", first_argument)
 def doubled(values):
     return 2 * values
 
@@ -68,12 +68,12 @@ def test_every_number_of_a_rule_is_a_setting_or_a_constant_of_the_method():
 
 def test_a_rule_that_is_off_gives_way_to_the_answer_without_it_and_comes_back():
     assert doubled(3) == 6
-    with rules_switched_off(["hidden_walls"]):
+    with rules_switched_off(["thin_volumes"]):
         assert doubled(3) == 3
-        assert not applies("hidden_walls", True)
-        assert not rule_mask("hidden_walls", np.ones(2, dtype=bool)).any()
+        assert not applies("thin_volumes", True)
+        assert not rule_mask("thin_volumes", np.ones(2, dtype=bool)).any()
     assert doubled(3) == 6
-    assert applies("hidden_walls", True)
+    assert applies("thin_volumes", True)
 
 
 def test_a_stage_switches_off_the_rules_that_its_parameters_name():
@@ -81,7 +81,7 @@ def test_a_stage_switches_off_the_rules_that_its_parameters_name():
     def stage(inputs, params):
         return doubled(inputs)
 
-    config = ChangeConfig(rules_off=("hidden_walls",))
+    config = ChangeConfig(rules_off=("thin_volumes",))
     params = TileParams("0_0", 80.0, (), np.zeros(3), slice_of(ComparisonSlice, config))
     assert stage(3, params) == 3
     assert stage(3, replace(params, config=slice_of(ComparisonSlice, ChangeConfig()))) == 6
@@ -94,7 +94,7 @@ def test_only_a_rule_whose_answer_differs_is_recorded(values):
     with rules_recorded() as used, np.errstate(over="ignore"):
         answer = doubled(array)
     same = np.array_equal(answer, array, equal_nan=True)
-    assert used == (set() if same else {"hidden_walls"})
+    assert used == (set() if same else {"thin_volumes"})
 
 
 def test_conditions_are_recorded_where_they_hold():
@@ -129,7 +129,7 @@ def test_rules_that_are_off_stand_in_the_statement_of_the_method_in_the_order_of
 
 
 def test_a_name_that_is_no_rule_is_refused_with_the_nearest_one():
-    with pytest.raises(ValueError, match="did you mean hidden_walls"):
-        known_rules(["hidden_wall"])
+    with pytest.raises(ValueError, match="did you mean thin_volumes"):
+        known_rules(["thin_volume"])
     with pytest.raises(ValidationError, match="did you mean closed_gaps"):
         ChangeConfig(rules_off=("closed_gap",))

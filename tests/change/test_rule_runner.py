@@ -14,7 +14,7 @@ from subiaco_geo.work.store import DiskStore
 from subiaco_geo.work.task_runner import TaskRunner
 from subiaco_geo.work.tasks import Task
 
-RULE, OTHER = "hidden_walls", "closed_gaps"
+RULE, OTHER = "thin_volumes", "closed_gaps"
 
 
 @dataclass(frozen=True)

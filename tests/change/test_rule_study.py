@@ -60,10 +60,10 @@ def study(tmp_path, monkeypatch):
     made = []
     scores = {
         ("first", BASELINE): (2, 1), ("second", BASELINE): (2, 1),
-        ("first", "hidden_walls"): (9, 0), ("second", "hidden_walls"): (9, 0),
+        ("first", "thin_volumes"): (9, 0), ("second", "thin_volumes"): (9, 0),
         ("first", "closed_gaps"): (1, 2), ("second", "closed_gaps"): (1, 2),
     }  # fmt: skip
-    used = {"first": ("hidden_walls", "closed_gaps"), "second": ("hidden_walls", "closed_gaps")}
+    used = {"first": ("thin_volumes", "closed_gaps"), "second": ("thin_volumes", "closed_gaps")}
 
     def run(job):
         made.append((job.survey.name, job.rule))
@@ -84,7 +84,7 @@ def study(tmp_path, monkeypatch):
         (survey / "truth").mkdir(parents=True)
         (survey / "truth" / "scene.yaml").touch()
 
-    def start(only=("hidden_walls", "closed_gaps", "roof_gap"), config=None):
+    def start(only=("thin_volumes", "closed_gaps", "roof_gap"), config=None):
         made.clear()
         table = run_rule_study(surveys, tmp_path / "out", config or ChangeConfig(), only=only)
         return table.set_index("rule"), list(made)
@@ -95,7 +95,7 @@ def study(tmp_path, monkeypatch):
 
 def test_the_table_says_which_rule_pays_which_costs_and_which_never_differed(study):
     table, made = study()
-    assert table.loc["hidden_walls", "verdict"] == "pays"
+    assert table.loc["thin_volumes", "verdict"] == "pays"
     assert table.loc["closed_gaps", "verdict"] == "costs"
     assert table.loc["roof_gap", "verdict"] == "never differed"
     assert table.loc["roof_gap", "miou"] == 0.0
@@ -103,7 +103,7 @@ def test_the_table_says_which_rule_pays_which_costs_and_which_never_differed(stu
     assert len(made) == 6
     stored = pd.read_csv(study.folder / "rules.csv").set_index("rule")
     assert stored["verdict"].to_dict() == table["verdict"].to_dict()
-    assert "| hidden_walls | 2 of 2 |" in (study.folder / "rules.md").read_text(encoding="utf-8")
+    assert "| thin_volumes | 2 of 2 |" in (study.folder / "rules.md").read_text(encoding="utf-8")
 
 
 def test_a_study_that_was_stopped_goes_on_with_what_is_missing(study):
@@ -125,8 +125,8 @@ def test_a_folder_of_other_settings_or_of_something_else_is_refused(study, tmp_p
     (tmp_path / "photos" / "one.txt").write_text("x", encoding="utf-8")
     with pytest.raises(InputError, match="no folder of a study"):
         run_rule_study([tmp_path / "first"], tmp_path / "photos", ChangeConfig())
-    with pytest.raises(InputError, match="did you mean hidden_walls"):
-        study(only=("hidden_wall",))
+    with pytest.raises(InputError, match="did you mean thin_volumes"):
+        study(only=("thin_volume",))
 
 
 def test_a_rule_that_is_not_finished_everywhere_has_no_verdict_and_no_figures(study):

@@ -114,27 +114,6 @@ def test_a_wing_five_metres_deep_of_which_two_walls_were_seen_has_its_volume():
     assert found.height.low <= 0.0 <= found.height.high
 
 
-@pytest.mark.parametrize("open_gap", [False, True])
-def test_a_wall_of_which_grazing_beams_met_both_ends_is_a_wall_in_between_unless_seen_open(open_gap):
-    """Of the side wall of the wing, 8 m deep, the first 1.5 m and the last metre were met."""
-    depth, far = 8.0, 9.0
-    side = (LENGTH + 4 - CELL, LENGTH + 4)
-    walls = [*wing(side=False), sheet((side[0], 1.5, 0), (side[1], 2.5, TALL))]
-    walls.append(sheet((side[0], far - 1, 0), (side[1], far, TALL)))
-    new = voxels(*walls, occupied_in_other=False)
-    known = [OUT[n] for n in ("street", "west", "above", "east of the wing", "before the wing")]
-    known += [((side[0] - 1, 3, 0), (side[1] + 1, far - 1.5, HIGH))] if open_gap else []
-    after = CarvingEpoch(voxels(*house(east=False)).add(new), inside(*known), nothing_met)
-    found = carve(epoch(house(), PLAIN), after, CONFIG)
-    whole = 4 * depth * TALL
-    assert (found.volume.low > 0.7 * whole) == (not open_gap)
-    assert 0.0 <= found.volume.low < whole
-    assert (
-        carve(epoch(house(), PLAIN), after, CONFIG.model_copy(update={"wall_gap": 3.0})).volume.low
-        < 0.3 * whole
-    )
-
-
 @pytest.mark.parametrize(("wide", "deep"), [(CELL, 0.55), (2 * CELL, 0.45)], ids=["a line", "a sheet"])
 def test_from_a_line_or_a_sheet_of_cells_that_was_seen_free_nothing_else_counts_as_lost(wide, deep):
     """Along the eave of the house beams met cells that the other survey holds; its rooms are unknown.

@@ -15,16 +15,13 @@ from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.split_merge import (
-    assign_fragments,
     join_building_extensions,
-    join_hidden_walls,
     part_hardly_overlapping,
     split_hedge_segments,
     split_multi_body_matches,
     split_row_houses,
     unify_classes,
 )
-from subiaco_change.instance_splitting.building_extensions import classify_low_parts
 from subiaco_change.instance_splitting.felled_crowns import split_felled_crowns
 from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.instance_splitting.places_seen_free import places_seen_free
@@ -85,9 +82,7 @@ def compare_objects(
     changes.extend(decide_object((), (t,), t.semantic, rules) for t in objects_after if t.is_part)
     changes = split_multi_body_matches(part_hardly_overlapping(changes, rules), rules)
     changes = split_row_houses(join_building_extensions(changes, rules), rules)
-    changes = split_hedge_segments(changes, rules)
-    changes = join_hidden_walls(changes, rules)
-    return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
+    return split_hedge_segments(changes, rules)
 
 
 def _with_parts(
@@ -105,9 +100,7 @@ def _with_parts(
     ends = np.cumsum([len(t.voxels) for t in objects])[:-1]
     free = np.split(seen_free, ends) if objects else []
     parted = split_one_epoch_parts(objects, rules.association.parts, free)
-    return classify_low_parts(
-        split_trees_over_shrubs(parted, rules.below_view[other], rules.association.parts)
-    )
+    return split_trees_over_shrubs(parted, rules.below_view[other], rules.association.parts)
 
 
 def _parts(

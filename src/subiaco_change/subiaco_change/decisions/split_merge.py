@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import shapely
 
 from subiaco_change.association.config import AssociationConfig
 from subiaco_change.association.costs import overlap_counts
-from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
@@ -35,9 +33,6 @@ from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
-_WALL = NUMBERS.split_merge.wall_reach
-_WITHIN = NUMBERS.split_merge.inside_share
-_HARDLY = NUMBERS.split_merge.least_observed
 
 
 @switchable("building_extensions", first_argument)
@@ -159,56 +154,6 @@ def _decide_together(pieces: Sequence[Piece], rules: ObjectRules) -> ObjectChang
     """Decide pieces of both epochs as one building."""
     before, after = ([t for piece in pieces for t in piece[epoch]] for epoch in (0, 1))
     return decide_object(before, after, Semantic.BUILDING, rules)
-
-
-@switchable("hidden_walls", first_argument)
-def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Join a wall that the other epoch hardly observed to the changed building it belongs to.
-
-    A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
-    assumed and not observed, what was built may hide any wall, also of a house without a change of its own.
-    """
-    hosts = {
-        i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
-        for i, c in enumerate(changes)
-        if c.semantic is Semantic.BUILDING and (_is_reshaped(c) or _is_assumed(c, rules))
-    }
-    joined: dict[int, list[int]] = {}
-    for number, change in enumerate(changes):
-        alone = (*change.before, *change.after)
-        low_part = change.semantic is Semantic.OTHER and all(t.is_part for t in alone)
-        if (
-            not (change.semantic is Semantic.BUILDING or low_part)
-            or (change.before and change.after)
-            or not _is_hardly_observed(change, rules)
-        ):
-            continue
-        xyz = join_voxels(alone).xyz
-        shares = {i: shapely.contains_xy(o, xyz[:, 0], xyz[:, 1]).mean() for i, o in hosts.items()}
-        best = max(shares, key=lambda i: shares[i], default=number)
-        if shares.get(best, 0.0) >= _WITHIN:
-            joined.setdefault(best, []).append(number)
-    gone = {number for numbers in joined.values() for number in numbers}
-    return [
-        _with_parts(change, [changes[k] for k in joined.get(i, [])])
-        for i, change in enumerate(changes)
-        if i not in gone
-    ]
-
-
-def _is_reshaped(change: ObjectChange) -> bool:
-    return change.decision.change in (Change.INCREASED, Change.DECREASED)
-
-
-def _is_assumed(change: ObjectChange, rules: ObjectRules) -> bool:
-    """Tell whether both epochs have an object, and nothing tells what they saw of the space around."""
-    return bool(change.before and change.after) and None in rules.ground.empty
-
-
-def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
-    """Tell whether the epoch that lacks an object hardly saw its place, or nothing tells what it saw."""
-    other = 1 if change.before else 0
-    return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
 @switchable("hardly_overlapping", first_argument)
@@ -347,59 +292,6 @@ def _of_section(
     plant = replace(change.plant, section=section.rise, section_gate=section.gate, section_only=only)
     decision = decide_plant(plant, change.lod, rules.decisions, no_null(rules.plants.null_model))
     return replace(change, plant=plant, decision=decision)
-
-
-@switchable("fragments_of_changed_objects", first_argument)
-def assign_fragments(
-    changes: list[ObjectChange],
-    objects_before: Sequence[ObjectInstance],
-    objects_after: Sequence[ObjectInstance],
-    config: AssociationConfig,
-    tolerance: float,
-) -> list[ObjectChange]:
-    """Let left-over fragments join the changed object that the other epoch holds in their place.
-
-    A part of a wall may look like a hedge in one epoch: its class keeps it
-    from its partner, its place does not, and every point of a changed object
-    carries its label. Statistics stay those of the object without them.
-    """
-    if not objects_before or not objects_after:
-        return changes
-    overlaps = overlap_counts(objects_before, objects_after, tolerance)
-    slots = [{t.instance: i for i, t in enumerate(objects)} for objects in (objects_before, objects_after)]
-    hosts = {
-        (epoch, part.instance): number
-        for number, change in enumerate(changes)
-        if change.decision.change in (Change.INCREASED, Change.DECREASED)
-        for epoch, parts in enumerate((change.before, change.after))
-        for part in parts
-    }
-    joined: dict[int, list[int]] = {}
-    for number, change in enumerate(changes):
-        if change.match_kind != "none" or change.decision.change is not Change.UNCHANGED:
-            continue
-        epoch = 0 if change.before else 1
-        part = (*change.before, *change.after)[0]
-        row = overlaps[epoch][[slots[epoch][part.instance]], :].tocoo()
-        if row.nnz == 0 or row.data.max() <= config.contained * len(part.voxels):
-            continue
-        other = (objects_after, objects_before)[epoch][int(row.col[row.data.argmax()])]
-        host = hosts.get((1 - epoch, other.instance))
-        if host is not None:
-            joined.setdefault(host, []).append(number)
-    gone = {number for numbers in joined.values() for number in numbers}
-    return [
-        _with_parts(change, [changes[k] for k in joined.get(number, [])])
-        for number, change in enumerate(changes)
-        if number not in gone
-    ]
-
-
-def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
-    before = (*change.before, *(t for f in fragments for t in f.before))
-    after = (*change.after, *(t for f in fragments for t in f.after))
-    kind = match_kind(len(before), len(after))
-    return replace(change, before=before, after=after, match_kind=kind)
 
 
 def _classes_as_they_are(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,10 +13,9 @@ from scipy.spatial import cKDTree
 from subiaco_change.association.config import PartConfig
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
+from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
-from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
-from subiaco_geo.codes import Semantic
+from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.frames import Floats
 
 _ROUND = NUMBERS.building_extensions.enclosing_share
@@ -197,15 +195,6 @@ def rectangularity(normal: Floats) -> float:
         return 1.0
     azimuth = np.arctan2(normal[steep, 1], normal[steep, 0])
     return float(np.abs(np.exp(4j * azimuth).mean()))
-
-
-@switchable("low_building_parts", first_argument)
-def classify_low_parts(objects: Sequence[ObjectInstance]) -> list[ObjectInstance]:
-    """Give parts of buildings that are lower than a room no class: a shrub, a skip or a bin at a wall."""
-    low = [t.is_part and t.semantic is Semantic.BUILDING and _top(t.voxels) < _ROOM for t in objects]
-    return [
-        replace(t, semantic=Semantic.OTHER) if found else t for t, found in zip(objects, low, strict=True)
-    ]
 
 
 def _inside(host: Floats, extension: Floats) -> float:

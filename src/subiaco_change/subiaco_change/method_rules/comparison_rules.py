@@ -355,12 +355,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "low_building_parts",
-        _HERE,
-        "A part of a building that is lower than a room stands at the building and has no class.",
-        ("method_numbers.building_extensions.room_height",),
-    ),
-    Rule(
         "unseen_belongs_to_most",
         _HERE,
         "Space that the other survey did not see belongs to the part that is gone, where less still stands.",
@@ -498,22 +492,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         "A part that touches a building, and whose place the other epoch hardly observed, belongs to the "
         "building if a change is claimed with it: the house hides the rear of a wing.",
     ),
-    Rule(
-        "hidden_walls",
-        _HERE,
-        "A wall within the outline of a changed building that the other epoch hardly saw joins its row.",
-        (
-            "method_numbers.split_merge.wall_reach",
-            "method_numbers.split_merge.inside_share",
-            "method_numbers.split_merge.least_observed",
-        ),
-    ),
-    Rule(
-        "fragments_of_changed_objects",
-        _HERE,
-        "A fragment of another class that lies in the place of a changed object carries its label.",
-        ("association.contained",),
-    ),
 )
 
 BUILDING_RULES: tuple[Rule, ...] = (
@@ -545,12 +523,6 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("decisions.building.height_volume",),
     ),
     Rule(
-        "surface_of_both_epochs",
-        _HERE,
-        "A surface of the other epoch that an epoch has too, sampled elsewhere, counts as its own.",
-        ("method_numbers.space_carving.horizontal_gap", "method_numbers.space_carving.vertical_gap"),
-    ),
-    Rule(
         "surfaces_not_refuted",
         _HERE,
         "A surface that one epoch has above those of the other may have stood in both, unless most of its"
@@ -565,22 +537,10 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("method_numbers.space_carving.roof_normal",),
     ),
     Rule(
-        "between_beams",
-        _HERE,
-        "Free space is closed where no beam happened to pass: among free cells and down to the ground.",
-        ("method_numbers.space_carving.closed_sides",),
-    ),
-    Rule(
         "behind_new_walls",
         _HERE,
         "Space behind two walls of one epoch that the other lacks is solid.",
         ("measures.carving.room",),
-    ),
-    Rule(
-        "wall_gaps",
-        _HERE,
-        "A gap in a wall seen at a slant is closed along the wall.",
-        ("measures.carving.wall_gap",),
     ),
     Rule(
         "thin_volumes",

@@ -35,11 +35,6 @@ class CarvingConfig(StrictModel):
     room: float = Field(
         2.2, gt=0, description="Smallest height of walls that enclose a volume [m]; lower walls are fences"
     )
-    wall_gap: float = Field(
-        6.0,
-        ge=0,
-        description="Longest gap between observed pieces of one wall that is closed along the wall [m]",
-    )
     capped: float = Field(
         0.3,
         ge=0,

@@ -44,9 +44,6 @@ Empty = Callable[[Floats], Mask]
 Bare = Callable[[Floats], Mask]
 Cells = NDArray[np.bool_]
 
-_BESIDE = NUMBERS.space_carving.horizontal_gap
-_ABOVE = NUMBERS.space_carving.vertical_gap
-_MOST_SIDES = NUMBERS.space_carving.closed_sides
 _TOP = NUMBERS.space_carving.top_tolerance
 _FEW = NUMBERS.space_carving.fewest_columns
 _LOOKED = NUMBERS.space_carving.observed_share
@@ -218,12 +215,9 @@ def _middles(corner: Floats, turn: Floats, shape: tuple[int, int, int], cell: fl
 
 
 def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
-    """Tell solid, free and unknown cells of an epoch.
-
-    A surface of the other epoch that this one has too, though it sampled it elsewhere, counts as its own.
-    """
+    """Tell solid, free and unknown cells of an epoch."""
     nx, ny, nz = frame.shape
-    own = epoch.voxels.add(_shared(other, epoch))
+    own = epoch.voxels
     top = _tops(own, frame)
     not_refuted = _not_refuted(other, top, frame)
     below = np.arange(nz) <= frame.level(top)[:, :, None]
@@ -239,8 +233,7 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     height = frame.foot.ravel()[column] + frame.levels[level]
     free[ask] = epoch.empty(np.column_stack([middles[column], height]))
     hollow = free & below
-    free = _between_beams(free & ~below, below, top)
-    return _State(below & ~hollow, free, hollow, top, not_refuted)
+    return _State(below & ~hollow, free & ~below, hollow, top, not_refuted)
 
 
 @switchable("cells_beside_surfaces", none_like_second)
@@ -252,49 +245,6 @@ def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
     for own, reach in kinds:
         filled |= ndimage.binary_dilation(_surface(own, frame) > 0, reach, mask=below)
     return filled
-
-
-@switchable("between_beams", first_argument)
-def _between_beams(free: Cells, solid: Cells, top: Floats) -> Cells:
-    """Fill free space where no beam happened to pass: among free cells, and between these and the ground.
-
-    A column that is free half a metre above the ground holds no building, although the beams below met it.
-    """
-    filled = free.copy()
-    filled[:, :, :2] |= (free[:, :, 2] & (top == 0))[:, :, None]
-    around = np.zeros(free.shape, dtype=np.int8)
-    for axis in range(3):
-        for step in (-1, 1):
-            around += _shifted(filled, axis, step)
-    return np.asarray(filled | ((around >= _MOST_SIDES) & ~solid))
-
-
-def _shifted(cells: Cells, axis: int, step: int) -> Cells:
-    """Cells moved by one along an axis; what comes from outside is False."""
-    moved = np.roll(cells, step, axis=axis)
-    edge: list[slice | int] = [slice(None)] * 3
-    edge[axis] = 0 if step > 0 else -1
-    moved[tuple(edge)] = False
-    return moved
-
-
-def _none_shared(other: Voxels, *_: object) -> Voxels:
-    """Return no voxels."""
-    return other.select(np.zeros(len(other), dtype=bool))
-
-
-@switchable("surface_of_both_epochs", _none_shared)
-def _shared(other: Voxels, epoch: CarvingEpoch) -> Voxels:
-    """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere."""
-    own = epoch.voxels
-    if len(other) == 0 or len(own) == 0:
-        return other.select(np.zeros(len(other), dtype=bool))
-    scale = 1.0 / np.array([_BESIDE, _BESIDE, _ABOVE])
-    distance = cKDTree(own.xyz * scale).query(other.xyz * scale, distance_upper_bound=1.0)[0]
-    shared = other.occupied_in_other & np.isfinite(distance)
-    if epoch.empty is not None:
-        shared[shared] = ~epoch.empty(other.xyz[shared])
-    return other.select(shared)
 
 
 def _all_refuted(_: Voxels, top: Floats, *__: object) -> Floats:
@@ -368,7 +318,7 @@ def _difference(
     surface show the cells around it free, and leave open whether the surface stood there. What it encloses
     counts as possible.
     """
-    solid = new.solid | _behind_new_walls(old, new, frame, config)
+    solid = new.solid | _behind_new_walls(old, new, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
     kinds = (voxels.observed_unoccupied, ~voxels.occupied_in_other, _of_rooms(voxels, new, frame, config))
     part = _parts_of(voxels, number, frame)
@@ -454,27 +404,15 @@ def _nothing_behind(_: _State, new: _State, *__: object) -> Cells:
 
 
 @switchable("behind_new_walls", _nothing_behind)
-def _behind_new_walls(old: _State, new: _State, frame: _Frame, config: CarvingConfig) -> Cells:
+def _behind_new_walls(old: _State, new: _State, config: CarvingConfig) -> Cells:
     """Cells that the walls of one epoch enclose which the other epoch does not have, as high as a room.
 
-    What the other epoch has stops the way to them: behind a fence beside a house there is no room. A wall
-    seen at a slant has gaps, which are closed along it unless the epoch saw them free.
+    What the other epoch has stops the way to them: behind a fence beside a house there is no room.
     """
     walls = new.solid & ~old.solid & (new.top >= config.room)[:, :, None]
     # A single free cell beside a wall is the part of the wall's own cell that lies in front of it.
     stops = ndimage.binary_opening(new.free, np.ones((2, 2, 1)))
-    whole = _with_gaps(walls, new.free | old.solid, frame, config)
-    return whole | (_enclosed(whole, stops | (old.solid & ~whole)) & ~new.free)
-
-
-@switchable("wall_gaps", first_argument)
-def _with_gaps(walls: Cells, open_: Cells, frame: _Frame, config: CarvingConfig) -> Cells:
-    """Close the gaps in walls along the walls, unless the cells are known to be open."""
-    gap = 2 * int(0.5 * config.wall_gap / frame.cell) + 1
-    whole = walls.copy()
-    for shape in ((gap, 1, 1), (1, gap, 1)):
-        whole |= ndimage.binary_closing(walls, np.ones(shape)) & ~open_
-    return whole
+    return walls | (_enclosed(walls, stops | (old.solid & ~walls)) & ~new.free)
 
 
 def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
