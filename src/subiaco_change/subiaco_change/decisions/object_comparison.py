@@ -15,6 +15,7 @@ from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.split_merge import (
+    assign_fragments,
     join_building_extensions,
     part_hardly_overlapping,
     split_hedge_segments,
@@ -82,7 +83,8 @@ def compare_objects(
     changes.extend(decide_object((), (t,), t.semantic, rules) for t in objects_after if t.is_part)
     changes = split_multi_body_matches(part_hardly_overlapping(changes, rules), rules)
     changes = split_row_houses(join_building_extensions(changes, rules), rules)
-    return split_hedge_segments(changes, rules)
+    changes = split_hedge_segments(changes, rules)
+    return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
 
 
 def _with_parts(

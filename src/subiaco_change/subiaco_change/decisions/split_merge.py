@@ -10,6 +10,7 @@ import numpy as np
 
 from subiaco_change.association.config import AssociationConfig
 from subiaco_change.association.costs import overlap_counts
+from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
@@ -292,6 +293,59 @@ def _of_section(
     plant = replace(change.plant, section=section.rise, section_gate=section.gate, section_only=only)
     decision = decide_plant(plant, change.lod, rules.decisions, no_null(rules.plants.null_model))
     return replace(change, plant=plant, decision=decision)
+
+
+@switchable("fragments_of_changed_objects", first_argument)
+def assign_fragments(
+    changes: list[ObjectChange],
+    objects_before: Sequence[ObjectInstance],
+    objects_after: Sequence[ObjectInstance],
+    config: AssociationConfig,
+    tolerance: float,
+) -> list[ObjectChange]:
+    """Let left-over fragments join the changed object that the other epoch holds in their place.
+
+    A part of a wall may look like a hedge in one epoch: its class keeps it
+    from its partner, its place does not, and every point of a changed object
+    carries its label. Statistics stay those of the object without them.
+    """
+    if not objects_before or not objects_after:
+        return changes
+    overlaps = overlap_counts(objects_before, objects_after, tolerance)
+    slots = [{t.instance: i for i, t in enumerate(objects)} for objects in (objects_before, objects_after)]
+    hosts = {
+        (epoch, part.instance): number
+        for number, change in enumerate(changes)
+        if change.decision.change in (Change.INCREASED, Change.DECREASED)
+        for epoch, parts in enumerate((change.before, change.after))
+        for part in parts
+    }
+    joined: dict[int, list[int]] = {}
+    for number, change in enumerate(changes):
+        if change.match_kind != "none" or change.decision.change is not Change.UNCHANGED:
+            continue
+        epoch = 0 if change.before else 1
+        part = (*change.before, *change.after)[0]
+        row = overlaps[epoch][[slots[epoch][part.instance]], :].tocoo()
+        if row.nnz == 0 or row.data.max() <= config.contained * len(part.voxels):
+            continue
+        other = (objects_after, objects_before)[epoch][int(row.col[row.data.argmax()])]
+        host = hosts.get((1 - epoch, other.instance))
+        if host is not None:
+            joined.setdefault(host, []).append(number)
+    gone = {number for numbers in joined.values() for number in numbers}
+    return [
+        _with_parts(change, [changes[k] for k in joined.get(number, [])])
+        for number, change in enumerate(changes)
+        if number not in gone
+    ]
+
+
+def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
+    before = (*change.before, *(t for f in fragments for t in f.before))
+    after = (*change.after, *(t for f in fragments for t in f.after))
+    kind = match_kind(len(before), len(after))
+    return replace(change, before=before, after=after, match_kind=kind)
 
 
 def _classes_as_they_are(

@@ -492,6 +492,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         "A part that touches a building, and whose place the other epoch hardly observed, belongs to the "
         "building if a change is claimed with it: the house hides the rear of a wing.",
     ),
+    Rule(
+        "fragments_of_changed_objects",
+        _HERE,
+        "A fragment of another class that lies in the place of a changed object carries its label.",
+        ("association.contained",),
+    ),
 )
 
 BUILDING_RULES: tuple[Rule, ...] = (
