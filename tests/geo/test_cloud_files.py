@@ -340,6 +340,21 @@ def test_an_unknown_crs_in_a_ply_is_refused(tmp_path: Path) -> None:
             write_cloud(tmp_path / f"b{suffix}", PointCloud(np.eye(3), crs="EPSG:99999"))
 
 
+@pytest.mark.parametrize("name", ["cloud.ply", "cloud.laz"])
+def test_heights_in_feet_are_refused_with_their_unit(tmp_path: Path, name: str) -> None:
+    """Metres in plan and feet in height: NAD83 / UTM zone 10N with NAVD88 heights in US survey feet."""
+    cloud = PointCloud(np.ones((3, 3)), np.array([5e5, 5e6, 0.0]), "EPSG:26910+6360")
+    with pytest.raises(InputError, match=f"{name}: its CRS gives heights in US survey foot; convert"):
+        write_cloud(tmp_path / name, cloud)
+    assert not (tmp_path / name).exists()
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.x, las.y, las.z = np.ones((3, 3)) + [[5e5], [5e6], [0.0]]
+    las.header.add_crs(CRS("EPSG:26910+6360"))
+    las.write(tmp_path / "feet.las")
+    with pytest.raises(InputError, match=r"feet.las: its CRS gives heights in US survey foot; convert"):
+        read_cloud(tmp_path / "feet.las")
+
+
 def test_an_unreadable_crs_in_a_laz_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.las"
     write_cloud(path, street())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +13,6 @@ from subiaco_geo.clouds import PointCloud, from_world
 from subiaco_geo.crs import crs_text, require_map_crs
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-
-logger = logging.getLogger(__name__)
 
 Column = NDArray[np.generic]
 _NORMALS = ("nx", "ny", "nz")
@@ -76,7 +73,10 @@ def read_crs(path: Path, text: str | None) -> str | None:
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     if len(crs.axis_info) == 3 and crs.axis_info[2].unit_conversion_factor != 1.0:
-        logger.warning("%s: heights are in %s, taken as they are", path, crs.axis_info[2].unit_name)
+        raise InputError(
+            f"{path}: its CRS gives heights in {crs.axis_info[2].unit_name}; convert the heights to"
+            " metres, and name a CRS with heights in metres or one without heights"
+        )
     return crs_text(crs)
 
 

@@ -114,11 +114,12 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
     if not applies("surface_was_free", free < config.min_free_surface):
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")
+    measured = decision.reason.removesuffix(f": {_CONCLUSIONS[decision.change]}.")
     reason = (
-        f"{decision.reason} No change is claimed: the probability that the place of the {surface} surface"
+        f"{measured}, but the probability that the place of the {surface} surface was free in the {other}"
     )
-    reason += f" was free in the {other} survey is {free:.0%}, less than the limit of"
-    reason += f" {config.min_free_surface:.0%}."
+    reason += f" survey is {free:.0%}, less than the limit of {config.min_free_surface:.0%}: no change is"
+    reason += " claimed."
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
 

@@ -223,14 +223,7 @@ def _building(measures: Measures, gate: float, rules: BuildingLimits) -> Decisio
     down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
     stated = possible.widened(measures.volume_resolution)
-    evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}"
-    if volume != possible:
-        one, other = ("gain", "loss") if volume == measures.gained else ("loss", "gain")
-        least, most = sorted((abs(volume.low), abs(volume.high)))
-        evidence += (
-            f"; a {one} of {least / whole:.0%} to {most / whole:.0%} was seen, a {other} is only possible"
-        )
-    evidence += "): "
+    evidence += f" {_volume_words(stated, volume, measures, rules)}: "
     straddles = any(bound.low <= side <= bound.high for bound in bounds for side in (-1.0, 1.0))
     if straddles:
         evidence += "space that a survey did not observe decides whether a limit is exceeded, and "
@@ -249,6 +242,19 @@ def _building(measures: Measures, gate: float, rules: BuildingLimits) -> Decisio
         evidence += f" {'earlier' if rising else 'later'} survey saw free space on both sides"
     evidence += f": the building {'grew' if rising else 'shrank'}."
     return Decision(change, evidence, up if rising else down, _sigmas(turned))
+
+
+def _volume_words(stated: Interval, shown: Interval, measures: Measures, rules: BuildingLimits) -> str:
+    """Write the bounds of a change of volume, of which no more than all is lost, and what was seen of it."""
+    whole = max(measures.volume, 1e-6)
+    low, high = (max(bound / whole, -1.0) for bound in (stated.low, stated.high))
+    words = f"{low:+z.0%} to {high:+z.0%} (limit {rules.volume:.0%}"
+    if shown != _possible_volume(measures, rules):
+        one, other = ("gain", "loss") if shown == measures.gained else ("loss", "gain")
+        seen = sorted(abs(bound) / whole for bound in (shown.low, shown.high))
+        least, most = (min(share, 1.0) if one == "loss" else share for share in seen)
+        words += f"; a {one} of {least:.0%} to {most:.0%} was seen, a {other} is only possible"
+    return f"{words})"
 
 
 def _unseen_rest(observed: float) -> str:
