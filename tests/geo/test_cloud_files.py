@@ -348,7 +348,7 @@ def test_heights_in_feet_are_refused_with_their_unit(tmp_path: Path, name: str) 
         write_cloud(tmp_path / name, cloud)
     assert not (tmp_path / name).exists()
     las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
-    las.x, las.y, las.z = np.ones((3, 3)) + [[5e5], [5e6], [0.0]]
+    las.x, las.y, las.z = np.full(3, 5e5), np.full(3, 5e6), np.ones(3)
     las.header.add_crs(CRS("EPSG:26910+6360"))
     las.write(tmp_path / "feet.las")
     with pytest.raises(InputError, match=r"feet.las: its CRS gives heights in US survey foot; convert"):
