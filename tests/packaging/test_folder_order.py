@@ -1,4 +1,4 @@
-"""Data flows one way: a folder or module of a package imports only what stands before it in the package."""
+"""Data flows one way: a part of a package imports only parts that stand before it in the package."""
 
 from __future__ import annotations
 
