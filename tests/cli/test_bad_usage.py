@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 
+import psutil
 import pytest
 import typer
 from small_bags import points_bag, room
@@ -199,6 +203,59 @@ def test_an_interrupted_run_leaves_its_stages_and_goes_on_from_there(
     assert command(*run).code == 0
     assert "what a run that was stopped finished there is used again" in caplog.text
     assert {path.name for path in tmp_path.iterdir()} == {"good.ply", "out"}
+
+
+def under(process):
+    """Return the living processes that a process started; none where it has ended."""
+    try:
+        return [child for child in process.children(recursive=True) if child.status() != "zombie"]
+    except psutil.NoSuchProcess:
+        return []
+
+
+def wait_until(true, seconds=120.0):
+    deadline = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < deadline, "too slow"
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("started", [1, 3], ids=["while workers load", "while workers work"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_run_with_all_its_workers_and_shows_no_traceback(
+    good, tmp_path, number, code, started
+):
+    """Ctrl-C reaches the workers too; SIGTERM reaches the command alone."""
+    words = ["change", good, good, "-o", tmp_path / "out", "--workers", "2", "--registration", "identity"]
+    with (tmp_path / "said").open("w") as said:
+        run = psutil.Popen(
+            [sys.executable, "-m", "subiaco_bringup.cli.main", *map(str, words), "--set", "leaf=0.5"],
+            stderr=said,
+            start_new_session=True,
+        )
+    loader = "multiprocessing.forkserver"
+    seen: list[psutil.Process] = []
+
+    def running() -> bool:
+        assert run.poll() is None, (tmp_path / "said").read_text()
+        seen[:] = under(run)
+        loading = [child for child in seen if loader in " ".join(child.cmdline())]
+        return len(loading) >= started
+
+    try:
+        wait_until(running)
+        (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)
+        assert run.wait(60) == code
+        wait_until(lambda: not any(child.is_running() and child.status() != "zombie" for child in seen), 60)
+        lines = (tmp_path / "said").read_text().splitlines()
+        assert not [line for line in lines if "Traceback" in line or "Error" in line]
+        assert [line for line in lines if line.startswith("subiaco:")] == [
+            "subiaco: interrupted; no output was written"
+        ]
+    finally:
+        for child in [*seen, *([run] if run.poll() is None else [])]:
+            with suppress(psutil.NoSuchProcess):
+                child.kill()
 
 
 def test_an_interruption_while_simulating_leaves_nothing(refused, tmp_path, monkeypatch):

@@ -92,6 +92,7 @@ def task_runner(
             _forget(request, kept)  # the same input would fail again
             raise
         except KeyboardInterrupt:
+            executor.stop()
             where = request.stages or kept
             _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", where)
             raise
