@@ -30,6 +30,14 @@ def test_a_missing_cloud(refused, tmp_path, good):
     refused(pair(good, tmp_path / "none.ply", tmp_path), "none.ply: no such map or cloud", "give a map")
 
 
+def test_a_missing_third_epoch_is_refused_before_the_first_comparison(refused, tmp_path, good, monkeypatch):
+    monkeypatch.setattr("subiaco_change.history.run_change", lambda *_, **__: pytest.fail("compared"))
+    other = write_street(tmp_path / "other.ply", seed=2)
+    refused(
+        ["change", good, other, tmp_path / "none.laz", "-o", tmp_path / "out"], "none.laz: no such map or"
+    )
+
+
 def test_a_folder_without_a_map(refused, tmp_path, good):
     (tmp_path / "photos").mkdir()
     refused(pair(tmp_path / "photos", good, tmp_path), "photos: holds no map", "subiaco map")
