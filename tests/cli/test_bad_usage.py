@@ -14,9 +14,12 @@ import psutil
 import pytest
 import typer
 from small_bags import points_bag, room
-from small_clouds import write_street
+from small_clouds import ORIGIN, street, write_street
 
 from subiaco_bringup.cli import main
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.maps import write_map
+from subiaco_geo.survey_map import SurveyMap
 
 CONFIG = "/**:\n  ros__parameters:\n    {line}\n"
 
@@ -122,6 +125,19 @@ def test_an_output_that_exists(refused, good, bag, tmp_path):
         ["simulate", tmp_path / "out"],
     ):
         refused(arguments, "out: exists already", "--overwrite")
+
+
+def test_an_output_that_exists_offers_no_option_that_the_verb_lacks(refused, bag, tmp_path):
+    write_map(tmp_path / "map", SurveyMap(PointCloud(street(), ORIGIN, "EPSG:7850")))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "drive").mkdir()
+    (tmp_path / "drive" / "drive_0.mcap").write_bytes(next(bag.glob("*.mcap")).read_bytes()[:-30])
+    for arguments in (
+        ["export", tmp_path / "map", "--to", "ply", "-o", tmp_path / "out"],
+        ["recover", tmp_path / "drive", "-o", tmp_path / "out"],
+    ):
+        said = refused(arguments, "out: exists already", "choose another place", "remove it")
+        assert "--overwrite" not in said
 
 
 def test_a_recording_that_exists_is_gone_on_with_or_left_alone(refused, tmp_path):
