@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from small_clouds import ORIGIN, street, write_ply, write_street
 
+from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
@@ -125,6 +126,50 @@ def test_a_given_transform_under_which_nothing_overlaps(refused, tmp_path):
     np.savetxt(tmp_path / "T.txt", T)
     arguments = pair(cloud, cloud, tmp_path, "--transform", tmp_path / "T.txt")
     refused(arguments, "do not overlap", "check the transform", code=3)
+
+
+def test_degrees_without_a_crs_are_named_as_such(refused, tmp_path, good):
+    degrees = street() / [95_000.0, 111_000.0, 1.0] + [115.8, -31.9, 0.0]
+    bad = write_ply(tmp_path / "degrees.ply", degrees)
+    said = refused(pair(bad, good, tmp_path), "degrees.ply", "look like degrees", "no CRS", "reproject")
+    assert "x 115.8" in said
+
+
+def test_a_stray_point_is_counted_without_a_warning_of_numpy(refused, command, tmp_path, good, recwarn):
+    stray = write_ply(tmp_path / "stray.ply", np.concatenate([street(), [[1e30, 0.0, 0.0]]]))
+    refused(
+        pair(good, stray, tmp_path),
+        "stray.ply: points farther than 100 km from the median of the cloud: 1",
+        "remove",
+    )
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
+
+
+def test_points_that_are_all_at_one_place_are_named(refused, tmp_path, good):
+    one = write_ply(tmp_path / "one.ply", np.tile([3.0, 4.0, 5.0], (2000, 1)))
+    refused(pair(good, one, tmp_path), "one.ply: all 2000 points are at one place", "check the cloud")
+    write_cloud(tmp_path / "placed.ply", PointCloud(np.zeros((2000, 3)), ORIGIN, "EPSG:7850"))
+    refused(pair(tmp_path / "placed.ply", good, tmp_path), "placed.ply: all 2000 points are at one place")
+
+
+def test_nan_points_are_counted_among_the_points_that_were_read(refused, tmp_path, good):
+    xyz = street()
+    xyz[::50] = np.nan
+    bad = write_ply(tmp_path / "nan.ply", xyz)
+    refused(pair(bad, good, tmp_path), "nan.ply: 20 of the points 1 to 1000 have NaN", "remove them")
+
+
+def test_a_trajectory_that_cannot_have_seen_the_cloud(refused, tmp_path):
+    good = write_street(tmp_path / "local.ply", crs=None)
+    options = ["--registration", "identity", "--trajectory-before", tmp_path / "far.tum"]
+    rows = [f"{t} {ORIGIN[0] + 540 + t} {ORIGIN[1]} {ORIGIN[2] + 2} 0 0 0 1" for t in range(5)]
+    (tmp_path / "far.tum").write_text("\n".join(rows))
+    said = refused(
+        pair(good, good, tmp_path, *options), "far.tum: no pose of the trajectory lies within 80 m"
+    )
+    assert "500 m away" in said
+    (tmp_path / "far.tum").write_text(rows[0])
+    refused(pair(good, good, tmp_path, *options), "far.tum: holds fewer than 2 poses", "whole trajectory")
 
 
 def test_a_given_transform_that_is_not_rigid(refused, tmp_path, good):

@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -216,6 +217,7 @@ class Epochs:
             raise InputError(f"{name}: {error}") from error
         if found.points == 0:
             raise InputError(f"{name}: the cloud is empty; check the file")
+        _refuse_no_survey(_named(name, epoch, "cloud"), epoch.crs, found, self.config.registration.min_points)
         self.clouds[name], self.inputs[name], self.sizes[name] = found.keys, found.inputs, found.sizes
         self.input_points += found.points
         for field_name in self.given:
@@ -254,6 +256,7 @@ class Epochs:
         elif kind == "shadow":
             side = replace(side, from_above=self._from_above(name))
         elif kind == "trajectory" and way is not None:
+            _refuse_elsewhere(_named(name, epoch, "trajectory_file"), way, cut, config.poses.max_range)
             side = replace(side, corner=occupied_corner(cut.low, config.poses))
             self.beams[name] = self._render(side, way)
             side = replace(side, view=self._view(side, epoch, way))
@@ -449,3 +452,35 @@ def corners_around(name: str, size: float, rim: float) -> Floats:
     """Return the corners (8, 3) of a tile and its surroundings in the world [m]."""
     box = tile_named(name, size, rim).buffered
     return corners(np.array(box[:2]), np.array(box[2:]))
+
+
+def _named(name: str, epoch: Epoch, kind: str) -> str:
+    """Return *before* or *after* with the file of an epoch, where it was read from one."""
+    file = getattr(epoch, kind, None)
+    return f"{name}: {file}" if isinstance(file, Path) else name
+
+
+def _refuse_no_survey(who: str, crs: str | None, cut: CutCloud, least: int) -> None:
+    """Refuse points that are all at one place, and coordinates in degrees, of which few voxels are left."""
+    if np.array_equal(cut.low, cut.high):
+        raise InputError(
+            f"{who}: all {cut.points} points are at one place; check the cloud, or export it again"
+        )
+    span, largest = cut.high - cut.low, np.maximum(np.abs(cut.low), np.abs(cut.high))
+    if crs is None and cut.kept < least and span[:2].max() < 1.0 and largest[0] <= 180 and largest[1] <= 90:
+        raise InputError(
+            f"{who}: the coordinates look like degrees (x {cut.low[0]:.5f} to {cut.high[0]:.5f}, "
+            f"y {cut.low[1]:.5f} to {cut.high[1]:.5f}) and the file names no CRS; reproject it to metres"
+        )
+
+
+def _refuse_elsewhere(who: str, way: Trajectory, cut: CutCloud, reach: float) -> None:
+    """Refuse poses that are all farther from the extent of a cloud, in plan, than a surface is seen [m]."""
+    position = way.positions[:, :2]
+    outside = np.maximum(np.maximum(cut.low[:2] - position, position - cut.high[:2]), 0.0)
+    nearest = float(np.linalg.norm(outside, axis=1).min(initial=np.inf))
+    if nearest > reach:
+        raise InputError(
+            f"{who}: no pose of the trajectory lies within {reach:.0f} m of the cloud (the nearest is "
+            f"{nearest:.0f} m away); give the trajectory of this cloud"
+        )
