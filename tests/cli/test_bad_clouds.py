@@ -197,6 +197,21 @@ def test_a_trajectory_that_cannot_be_read(refused, tmp_path, good):
     refused(pair(good, good, tmp_path, "--trajectory-after", tmp_path / "odd.tum"), "odd.tum", ";")
 
 
+def test_files_of_another_kind_are_named_without_words_of_python(refused, tmp_path, good):
+    (tmp_path / "cloud.laz").write_bytes(bytes(range(128, 256)))
+    (tmp_path / "words.txt").write_text("a,b,c\n")
+    for option, name, reason in (
+        ("--trajectory-before", "cloud.laz", "not a text file"),
+        ("--transform", "words.txt", "four rows of four numbers"),
+        ("--transform", "a,b,c", "no such file"),
+    ):
+        said = refused(
+            pair(good, good, tmp_path, option, tmp_path / name), f"{name}: ", reason, "give a text file"
+        )
+        assert "codec" not in said
+        assert "convert" not in said
+
+
 @pytest.fixture(scope="session")
 def gda94_change(tmp_path_factory):
     """Return the change directory of a street in GDA94 against the same in GDA2020, and how it ended."""
