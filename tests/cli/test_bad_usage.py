@@ -114,6 +114,40 @@ def test_simulation_options_out_of_bounds(refused, tmp_path, option, value, know
     refused(["simulate", tmp_path / "out", option, value], option.lstrip("-"), value, known)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "typed"),
+    [
+        (["simulate", "--duration", "-5"], "--duration -5.0: "),
+        (["map", "BAG", "--threads", "-2"], "--threads -2: "),
+    ],
+)
+def test_an_option_out_of_bounds_is_named_as_it_was_typed(refused, bag, tmp_path, arguments, typed):
+    words = [bag if word == "BAG" else word for word in arguments]
+    out = [tmp_path / "out"] if words[0] == "simulate" else ["-o", tmp_path / "out"]
+    said = refused([*words, *out], typed)
+    assert "--set" not in said
+
+
+def test_a_cloud_is_no_directory_to_export(refused, good, tmp_path):
+    refused(["export", good, "--to", "tiles", "-o", tmp_path / "out"], "good.ply: is a file", "map directory")
+
+
+def test_invalid_yaml_is_named_with_its_line(refused, good, tmp_path):
+    (tmp_path / "odd.yaml").write_text("/**:\n  ros__parameters:\n    leaf: [0.5\n")
+    run = ["change", good, good, "-o", tmp_path / "out", "--config"]
+    refused([*run, tmp_path / "odd.yaml"], "odd.yaml: not valid YAML (line 4: ", "correct it")
+    (tmp_path / "cloud.laz").write_bytes(bytes(range(128, 256)))
+    said = refused([*run, tmp_path / "cloud.laz"], "cloud.laz: not a text file", "configuration in YAML")
+    assert "codec" not in said
+
+
+def test_a_log_that_is_missing_is_named_without_a_number_of_the_system(refused, tmp_path):
+    (tmp_path / "drive.pcap").write_bytes(b"")
+    run = ["import", tmp_path / "drive.pcap", "--imu", tmp_path / "none.csv", "-o", tmp_path / "out"]
+    said = refused(run, "none.csv", "no such file or directory", "check the file")
+    assert "Errno" not in said
+
+
 def test_an_output_that_exists(refused, good, bag, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("keep me")
