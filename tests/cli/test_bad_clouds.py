@@ -135,6 +135,12 @@ def test_degrees_without_a_crs_are_named_as_such(refused, tmp_path, good):
     assert "x 115.8" in said
 
 
+def test_a_registration_that_fails_says_where_extents_differ_as_metres_and_feet_do(refused, tmp_path):
+    metres = write_ply(tmp_path / "metres.ply", street())
+    feet = write_ply(tmp_path / "feet.ply", street(2) * 3.2808)
+    refused(pair(feet, metres, tmp_path), "the extent of before is 3.28 times as large", "in feet", code=3)
+
+
 def test_a_stray_point_is_counted_without_a_warning_of_numpy(refused, command, tmp_path, good, recwarn):
     stray = write_ply(tmp_path / "stray.ply", np.concatenate([street(), [[1e30, 0.0, 0.0]]]))
     refused(

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.constants import foot
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.driven_lane import SurveyPath
@@ -60,7 +61,7 @@ from subiaco_change.tiling.tile_segmentation import SegmentationParams, Segmenta
 from subiaco_change.view_from_above import seen_from_above
 from subiaco_change.visibility_evidence import evidence_kind
 from subiaco_geo.crs import Transform, transformer
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.expected_visibility import occupied_columns, occupied_corner, sample_poses
 from subiaco_geo.free_space.sensor_view import SensorView, described_view, spin_headings
@@ -115,6 +116,7 @@ class Epochs:
     simulated: bool = False
     sizes: dict[str, dict[str, int]] = field(default_factory=dict)  # points by epoch and tile, at the leaf
     input_points: int = 0  # of both epochs, of all tiles
+    feet_hint: str = ""  # what a registration that fails says of the units
 
     @property
     def size(self) -> float:
@@ -179,6 +181,7 @@ class Epochs:
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
+        self.feet_hint = "" if both else _feet_hint(*(high - low for low, high in extents))
 
     def check_heights(self) -> None:
         """Refuse georeferenced epochs whose heights are of two kinds, from tiles that both have.
@@ -343,7 +346,10 @@ class Epochs:
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.clouds[e].items()}
         task = Task("registration", "all", find_registration, clouds, self.registering(transform))
         stages: list[Sequence[Task[Any]]] = [[task], *(self._semantics(side) for side in self.sides)]
-        found, *prepared = self.runner.together(stages, (0.05, 0.47))
+        try:
+            found, *prepared = self.runner.together(stages, (0.05, 0.47))
+        except RegistrationError as error:
+            raise RegistrationError(f"{error}{self.feet_hint}") from error
         self.prepared = dict(zip(EPOCHS, prepared, strict=True))
         for warning in self.registration(found["all"]).warnings:
             _LOG.warning("registration: %s", warning)
@@ -456,7 +462,7 @@ def corners_around(name: str, size: float, rim: float) -> Floats:
 
 def _named(name: str, epoch: Epoch, kind: str) -> str:
     """Return *before* or *after* with the file of an epoch, where it was read from one."""
-    file = getattr(epoch, kind, None)
+    file = getattr(getattr(epoch, "epoch", epoch), kind, None)
     return f"{name}: {file}" if isinstance(file, Path) else name
 
 
@@ -472,6 +478,15 @@ def _refuse_no_survey(who: str, crs: str | None, cut: CutCloud, least: int) -> N
             f"{who}: the coordinates look like degrees (x {cut.low[0]:.5f} to {cut.high[0]:.5f}, "
             f"y {cut.low[1]:.5f} to {cut.high[1]:.5f}) and the file names no CRS; reproject it to metres"
         )
+
+
+def _feet_hint(before: Floats, after: Floats) -> str:
+    """Return what extents (3,) say that differ in plan as metres and feet do; else nothing."""
+    ratio = before[:2] / np.maximum(after[:2], 1e-9)
+    for name, factor in (("before", ratio), ("after", 1.0 / np.maximum(ratio, 1e-9))):
+        if np.all(np.abs(factor * foot - 1.0) < 0.05):
+            return f"; the extent of {name} is {factor.mean():.2f} times as large: it may be in feet"
+    return ""
 
 
 def _refuse_elsewhere(who: str, way: Trajectory, cut: CutCloud, reach: float) -> None:
