@@ -14,7 +14,8 @@ EXIT_CODES = {
     1: "A fault of the software. Run the command again with `-v` for the traceback.",
     2: "Bad input or usage. One line names the file, topic or field, and the remedy.",
     3: "A registration failed or cannot be trusted, or the GNSS fixes contradict the map.",
-    130: "Interrupted.",
+    130: "Interrupted by Ctrl-C.",
+    143: "Interrupted by SIGTERM.",
 }
 #: Options that every verb has where it applies, described once.
 _HELP = "--help"

@@ -96,6 +96,12 @@ def test_a_bag_without_any_lidar(refused, tmp_path):
     refused(["map", bag, "-o", tmp_path / "out"], "talk: no LiDAR topic", "/chatter", "remap")
 
 
+def test_a_graph_names_the_bag_without_any_lidar_and_its_topics(refused, tmp_path):
+    bag = text_bag(tmp_path / "talk", "/chatter")
+    run = ["graph", "mapping", bag, "-o", tmp_path / "out"]
+    refused(run, "talk: no LiDAR topic", "it has /chatter", "remap")
+
+
 def test_an_empty_bag(refused, tmp_path):
     with BagWriter(tmp_path / "empty"):
         pass

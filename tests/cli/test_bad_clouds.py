@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from small_clouds import ORIGIN, street, write_ply, write_street
 
+from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
@@ -28,6 +29,14 @@ def pair(before, after, tmp_path, *options):
 
 def test_a_missing_cloud(refused, tmp_path, good):
     refused(pair(good, tmp_path / "none.ply", tmp_path), "none.ply: no such map or cloud", "give a map")
+
+
+def test_a_missing_third_epoch_is_refused_before_the_first_comparison(refused, tmp_path, good, monkeypatch):
+    monkeypatch.setattr("subiaco_change.history.run_change", lambda *_, **__: pytest.fail("compared"))
+    other = write_street(tmp_path / "other.ply", seed=2)
+    refused(
+        ["change", good, other, tmp_path / "none.laz", "-o", tmp_path / "out"], "none.laz: no such map or"
+    )
 
 
 def test_a_folder_without_a_map(refused, tmp_path, good):
@@ -119,6 +128,56 @@ def test_a_given_transform_under_which_nothing_overlaps(refused, tmp_path):
     refused(arguments, "do not overlap", "check the transform", code=3)
 
 
+def test_degrees_without_a_crs_are_named_as_such(refused, tmp_path, good):
+    degrees = street() / [95_000.0, 111_000.0, 1.0] + [115.8, -31.9, 0.0]
+    bad = write_ply(tmp_path / "degrees.ply", degrees)
+    said = refused(pair(bad, good, tmp_path), "degrees.ply", "look like degrees", "no CRS", "reproject")
+    assert "x 115.8" in said
+
+
+def test_a_registration_that_fails_says_where_extents_differ_as_metres_and_feet_do(refused, tmp_path):
+    metres = write_ply(tmp_path / "metres.ply", street())
+    feet = write_ply(tmp_path / "feet.ply", street(2) * 3.2808)
+    refused(pair(feet, metres, tmp_path), "the extent of before is 3.28 times as large", "in feet", code=3)
+
+
+def test_a_stray_point_is_counted_without_a_warning_of_numpy(refused, command, tmp_path, good, recwarn):
+    stray = write_ply(tmp_path / "stray.ply", np.concatenate([street(), [[1e30, 0.0, 0.0]]]))
+    refused(
+        pair(good, stray, tmp_path),
+        "stray.ply: points farther than 100 km from the median of the cloud: 1",
+        "remove",
+    )
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
+
+
+def test_points_that_are_all_at_one_place_are_named(refused, tmp_path, good):
+    one = write_ply(tmp_path / "one.ply", np.tile([3.0, 4.0, 5.0], (2000, 1)))
+    refused(pair(good, one, tmp_path), "one.ply: all 2000 points are at one place", "check the cloud")
+    write_cloud(tmp_path / "placed.ply", PointCloud(np.zeros((2000, 3)), ORIGIN, "EPSG:7850"))
+    refused(pair(tmp_path / "placed.ply", good, tmp_path), "placed.ply: all 2000 points are at one place")
+
+
+def test_nan_points_are_counted_among_the_points_that_were_read(refused, tmp_path, good):
+    xyz = street()
+    xyz[::50] = np.nan
+    bad = write_ply(tmp_path / "nan.ply", xyz)
+    refused(pair(bad, good, tmp_path), "nan.ply: 20 of the points 1 to 1000 have NaN", "remove them")
+
+
+def test_a_trajectory_that_cannot_have_seen_the_cloud(refused, tmp_path):
+    good = write_street(tmp_path / "local.ply", crs=None)
+    options = ["--registration", "identity", "--trajectory-before", tmp_path / "far.tum"]
+    rows = [f"{t} {ORIGIN[0] + 540 + t} {ORIGIN[1]} {ORIGIN[2] + 2} 0 0 0 1" for t in range(5)]
+    (tmp_path / "far.tum").write_text("\n".join(rows))
+    said = refused(
+        pair(good, good, tmp_path, *options), "far.tum: no pose of the trajectory lies within 80 m"
+    )
+    assert "500 m away" in said
+    (tmp_path / "far.tum").write_text(rows[0])
+    refused(pair(good, good, tmp_path, *options), "far.tum: holds fewer than 2 poses", "whole trajectory")
+
+
 def test_a_given_transform_that_is_not_rigid(refused, tmp_path, good):
     np.savetxt(tmp_path / "skewed.txt", np.diag([2.0, 1.0, 1.0, 1.0]))
     refused(
@@ -142,6 +201,21 @@ def test_a_trajectory_that_cannot_be_read(refused, tmp_path, good):
     refused(pair(good, good, tmp_path, "--trajectory-before", tmp_path / "none.tum"), "none.tum", ";")
     (tmp_path / "odd.tum").write_text("here and there\n")
     refused(pair(good, good, tmp_path, "--trajectory-after", tmp_path / "odd.tum"), "odd.tum", ";")
+
+
+def test_files_of_another_kind_are_named_without_words_of_python(refused, tmp_path, good):
+    (tmp_path / "cloud.laz").write_bytes(bytes(range(128, 256)))
+    (tmp_path / "words.txt").write_text("a,b,c\n")
+    for option, name, reason in (
+        ("--trajectory-before", "cloud.laz", "not a text file"),
+        ("--transform", "words.txt", "four rows of four numbers"),
+        ("--transform", "a,b,c", "no such file"),
+    ):
+        said = refused(
+            pair(good, good, tmp_path, option, tmp_path / name), f"{name}: ", reason, "give a text file"
+        )
+        assert "codec" not in said
+        assert "convert" not in said
 
 
 @pytest.fixture(scope="session")

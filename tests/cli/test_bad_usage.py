@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 
+import psutil
 import pytest
 import typer
 from small_bags import points_bag, room
-from small_clouds import write_street
+from small_clouds import ORIGIN, street, write_street
 
 from subiaco_bringup.cli import main
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.maps import write_map
+from subiaco_geo.survey_map import SurveyMap
 
 CONFIG = "/**:\n  ros__parameters:\n    {line}\n"
 
@@ -107,6 +114,40 @@ def test_simulation_options_out_of_bounds(refused, tmp_path, option, value, know
     refused(["simulate", tmp_path / "out", option, value], option.lstrip("-"), value, known)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "typed"),
+    [
+        (["simulate", "--duration", "-5"], "--duration -5.0: "),
+        (["map", "BAG", "--threads", "-2"], "--threads -2: "),
+    ],
+)
+def test_an_option_out_of_bounds_is_named_as_it_was_typed(refused, bag, tmp_path, arguments, typed):
+    words = [bag if word == "BAG" else word for word in arguments]
+    out = [tmp_path / "out"] if words[0] == "simulate" else ["-o", tmp_path / "out"]
+    said = refused([*words, *out], typed)
+    assert "--set" not in said
+
+
+def test_a_cloud_is_no_directory_to_export(refused, good, tmp_path):
+    refused(["export", good, "--to", "tiles", "-o", tmp_path / "out"], "good.ply: is a file", "map directory")
+
+
+def test_invalid_yaml_is_named_with_its_line(refused, good, tmp_path):
+    (tmp_path / "odd.yaml").write_text("/**:\n  ros__parameters:\n    leaf: [0.5\n")
+    run = ["change", good, good, "-o", tmp_path / "out", "--config"]
+    refused([*run, tmp_path / "odd.yaml"], "odd.yaml: not valid YAML (line 4: ", "correct it")
+    (tmp_path / "cloud.laz").write_bytes(bytes(range(128, 256)))
+    said = refused([*run, tmp_path / "cloud.laz"], "cloud.laz: not a text file", "configuration in YAML")
+    assert "codec" not in said
+
+
+def test_a_log_that_is_missing_is_named_without_a_number_of_the_system(refused, tmp_path):
+    (tmp_path / "drive.pcap").write_bytes(b"")
+    run = ["import", tmp_path / "drive.pcap", "--imu", tmp_path / "none.csv", "-o", tmp_path / "out"]
+    said = refused(run, "none.csv", "no such file or directory", "check the file")
+    assert "Errno" not in said
+
+
 def test_an_output_that_exists(refused, good, bag, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("keep me")
@@ -118,6 +159,19 @@ def test_an_output_that_exists(refused, good, bag, tmp_path):
         ["simulate", tmp_path / "out"],
     ):
         refused(arguments, "out: exists already", "--overwrite")
+
+
+def test_an_output_that_exists_offers_no_option_that_the_verb_lacks(refused, bag, tmp_path):
+    write_map(tmp_path / "map", SurveyMap(PointCloud(street(), ORIGIN, "EPSG:7850")))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "drive").mkdir()
+    (tmp_path / "drive" / "drive_0.mcap").write_bytes(next(bag.glob("*.mcap")).read_bytes()[:-30])
+    for arguments in (
+        ["export", tmp_path / "map", "--to", "ply", "-o", tmp_path / "out"],
+        ["recover", tmp_path / "drive", "-o", tmp_path / "out"],
+    ):
+        said = refused(arguments, "out: exists already", "choose another place", "remove it")
+        assert "--overwrite" not in said
 
 
 def test_a_recording_that_exists_is_gone_on_with_or_left_alone(refused, tmp_path):
@@ -199,6 +253,59 @@ def test_an_interrupted_run_leaves_its_stages_and_goes_on_from_there(
     assert command(*run).code == 0
     assert "what a run that was stopped finished there is used again" in caplog.text
     assert {path.name for path in tmp_path.iterdir()} == {"good.ply", "out"}
+
+
+def under(process):
+    """Return the living processes that a process started; none where it has ended."""
+    try:
+        return [child for child in process.children(recursive=True) if child.status() != "zombie"]
+    except psutil.NoSuchProcess:
+        return []
+
+
+def wait_until(true, seconds=120.0):
+    deadline = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < deadline, "too slow"
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("started", [1, 3], ids=["while workers load", "while workers work"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_run_with_all_its_workers_and_shows_no_traceback(
+    good, tmp_path, number, code, started
+):
+    """Ctrl-C reaches the workers too; SIGTERM reaches the command alone."""
+    words = ["change", good, good, "-o", tmp_path / "out", "--workers", "2", "--registration", "identity"]
+    with (tmp_path / "said").open("w") as said:
+        run = psutil.Popen(
+            [sys.executable, "-m", "subiaco_bringup.cli.main", *map(str, words), "--set", "leaf=0.5"],
+            stderr=said,
+            start_new_session=True,
+        )
+    loader = "multiprocessing.forkserver"
+    seen: list[psutil.Process] = []
+
+    def running() -> bool:
+        assert run.poll() is None, (tmp_path / "said").read_text()
+        seen[:] = under(run)
+        loading = [child for child in seen if loader in " ".join(child.cmdline())]
+        return len(loading) >= started
+
+    try:
+        wait_until(running)
+        (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)
+        assert run.wait(60) == code
+        wait_until(lambda: not any(child.is_running() and child.status() != "zombie" for child in seen), 60)
+        lines = (tmp_path / "said").read_text().splitlines()
+        assert not [line for line in lines if "Traceback" in line or "Error" in line]
+        assert [line for line in lines if line.startswith("subiaco:")] == [
+            "subiaco: interrupted; no output was written"
+        ]
+    finally:
+        for child in [*seen, *([run] if run.poll() is None else [])]:
+            with suppress(psutil.NoSuchProcess):
+                child.kill()
 
 
 def test_an_interruption_while_simulating_leaves_nothing(refused, tmp_path, monkeypatch):

@@ -83,7 +83,7 @@ def test_the_command_lists_its_verbs_in_the_order_of_work(command):
 def test_the_help_of_the_command_teaches_a_survey_and_the_exit_codes(command):
     ran = command("--help")
     assert "  subiaco map bags/demo/before -o out/before\n" in ran.out
-    assert "130 interrupted" in ran.out
+    assert "130 interrupted, 143 ended by SIGTERM" in ran.out
 
 
 def test_no_words_at_all_show_the_help(command):

@@ -289,7 +289,7 @@ def test_bad_settings_are_refused_in_one_line(setting: str, match: str) -> None:
     ("text", "match"),
     [
         (b"a: [", "not valid YAML"),
-        (b"\xff\xfe\x00", "not valid YAML"),
+        (b"\xff\xfe\x00", "not a text file"),
         (b"odometry: {}", "ros__parameters"),
         (b"/**:\n  ros__parameters: [1]\n", "names and values"),
     ],

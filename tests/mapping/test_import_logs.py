@@ -17,7 +17,7 @@ from subiaco_mapping.importers.csv_logs import (
     read_gnss_log,
     read_imu_log,
 )
-from subiaco_mapping.importers.packets import import_recording, osf_recording
+from subiaco_mapping.importers.packets import _refuse_other_times, import_recording, osf_recording
 from subiaco_mapping.inspection.inspect_bag import inspect_bag
 from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, imu_from_msg
@@ -105,6 +105,16 @@ def test_a_capture_and_its_logs_are_merged_in_time_order(shared_data: Path, tmp_
     assert LIDAR_PACKETS in topics[: topics.index(FIX)]
     assert LIDAR_PACKETS in topics[topics.index(FIX) :]
     assert counts[LIDAR_PACKETS] == topics.count(LIDAR_PACKETS)
+
+
+def test_a_log_of_another_time_is_refused_with_both_spans(tmp_path: Path) -> None:
+    spans = {LIDAR_PACKETS: (0, 10 * 10**9), FIX: (86_400 * 10**9, 86_500 * 10**9)}
+    with pytest.raises(InputError) as caught:
+        _refuse_other_times(tmp_path / "drive.pcap", spans)
+    said = str(caught.value)
+    assert f"drive.pcap: {LIDAR_PACKETS} lasts from 1970-01-01T00:00:00Z to 1970-01-01T00:00:10Z" in said
+    assert f"{FIX} from 1970-01-02T00:00:00Z to 1970-01-02T00:01:40Z; give the log of this drive" in said
+    _refuse_other_times(tmp_path / "drive.pcap", spans | {FIX: (10_500_000_000, 20 * 10**9)})
 
 
 def test_an_osf_file_gives_a_bag_that_decodes_without_loss(shared_data: Path, tmp_path: Path) -> None:

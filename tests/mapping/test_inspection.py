@@ -309,6 +309,17 @@ def test_fixes_that_cannot_place_a_map_are_told(
     assert any(said in text for text in facts["forbids"] + facts["cares"])
 
 
+def test_fixes_too_few_to_place_a_map_ask_for_care(tmp_path: Path) -> None:
+    def keep(topic: str, number: int, message: Any) -> Any:
+        if topic == FIX and number >= 7:
+            message.status.status = -1
+        return message
+
+    facts = inspect_bag(with_messages(drive_bag(tmp_path / "a"), tmp_path / "bag", keep))
+    assert facts["verdict"] == "usable with care"
+    assert any("7 usable GNSS fixes, 10 are needed to place the map" in text for text in facts["cares"])
+
+
 def test_a_second_lidar_is_named(tmp_path: Path) -> None:
     bag = drive_bag(tmp_path / "a", lidar="timed", seconds=2.0)
     with BagReader(bag) as reader, BagWriter(tmp_path / "two") as writer:

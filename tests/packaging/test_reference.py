@@ -60,7 +60,7 @@ def test_the_page_of_commands_holds_every_verb_option_and_exit_code(
             options = [option for option in parameter.opts if option.startswith("--") and option != "--help"]
             assert all(f"`{option}`" in section for option in options), (name, options)
     codes = set(generator.commands.EXIT_CODES)
-    assert {0, SubiacoError.exit_code, InputError.exit_code, RegistrationError.exit_code, 130} == codes
+    assert {0, SubiacoError.exit_code, InputError.exit_code, RegistrationError.exit_code, 130, 143} == codes
 
 
 def test_every_interface_and_every_field_has_a_meaning(generator: Any) -> None:

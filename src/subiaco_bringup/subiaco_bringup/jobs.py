@@ -70,11 +70,13 @@ def run_mapping_graph(
     SubiacoError
         A node failed.
     """
-    from subiaco_geo.bags import find_storage
+    from subiaco_mapping.named_bags import open_bag
+    from subiaco_mapping.pipeline import lidar_topic
 
     refuse_existing(request.output, request.overwrite)
     for bag in request.bags:
-        find_storage(bag)
+        with open_bag(bag, request.config.topics) as reader:
+            lidar_topic(reader)
     graph = mapping_graph(request, rate=rate)
     graph = graph if foxglove_port is None else with_foxglove(graph, foxglove_port)
     _run(in_one_process(graph) if one_process else graph, progress, replays=True)

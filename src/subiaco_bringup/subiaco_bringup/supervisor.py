@@ -178,7 +178,8 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 @contextmanager
 def _sigterm_interrupts() -> Iterator[None]:
     """Let SIGTERM end a job as Ctrl-C does, so that no node is left behind."""
-    if threading.current_thread() is not threading.main_thread():
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:  # the command has done so
         yield
         return
     before = signal.signal(signal.SIGTERM, _interrupt)

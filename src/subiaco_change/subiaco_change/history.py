@@ -25,6 +25,7 @@ from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.codes import CHANGED_LABELS, Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
+from subiaco_geo.sources import open_epoch
 
 #: What tells a directory of several epochs from another folder.
 MARKER = "history.csv"
@@ -90,6 +91,8 @@ def run_epochs(
         raise InputError("a known transform other than the identity needs exactly two epochs")
     refuse_existing(output, overwrite)
     refuse_foreign(output, MARKER)
+    for epoch in epochs:
+        open_epoch(epoch)  # a missing or damaged epoch is refused before the first comparison
     steps = []
     stages = request.stages or output.with_name(f"{output.name}.stages")
     with whole_directory(output, overwrite=overwrite, marker=MARKER) as target:

@@ -92,6 +92,7 @@ def task_runner(
             _forget(request, kept)  # the same input would fail again
             raise
         except KeyboardInterrupt:
+            executor.stop()
             where = request.stages or kept
             _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", where)
             raise
@@ -120,8 +121,10 @@ def read_transform(path: Path) -> Floats:
         else:
             values = np.loadtxt(path, dtype=np.float64)
     except (OSError, ValueError, KeyError, TypeError) as error:
+        reason = "no transform could be read" if path.is_file() else "no such file"
         raise InputError(
-            f"{path}: no transform could be read ({error}); give four rows of four numbers"
+            f"{path}: {reason}; give a text file with four rows of four numbers, or a JSON file with "
+            "T_after_before"
         ) from error
     if values.shape != (4, 4):
         raise InputError(f"{path}: expected a 4x4 transform, found shape {values.shape}")

@@ -50,20 +50,26 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_directory(path: Path, *, overwrite: bool = False, marker: str | None = None) -> Iterator[Path]:
+def whole_directory(
+    path: Path, *, overwrite: bool | None = None, marker: str | None = None
+) -> Iterator[Path]:
     """Yield a temporary directory beside ``path``; rename on success, remove on failure.
 
     Parameters
     ----------
     path : Path
-    overwrite : bool
-        Replace a directory that is there; it stays until the new one is whole.
+    overwrite : bool, optional
+        Replace a directory that is there; it stays until the new one is whole. None where the user has no
+        such choice.
     marker : str, optional
         A file that the old directory must hold to be replaced, so that a
         mistyped path costs nobody a folder of other things.
     """
     path = path.absolute()
-    refuse_existing(path, overwrite)
+    if overwrite is None:
+        refuse_existing(path, overwrite=False, remedy="choose another place, or remove it first")
+    else:
+        refuse_existing(path, overwrite)
     refuse_foreign(path, marker)
     path.parent.mkdir(parents=True, exist_ok=True)
     sweep(path.parent, f".{path.name}.partial-")

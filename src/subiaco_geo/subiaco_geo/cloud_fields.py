@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import PointCloud, from_world
+from subiaco_geo.clouds import PointCloud, extent_of, from_world
 from subiaco_geo.crs import crs_text, require_map_crs
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
@@ -18,18 +18,37 @@ Column = NDArray[np.generic]
 _NORMALS = ("nx", "ny", "nz")
 _FLOAT32_LIMIT = 1e5
 _PART = 1 << 19  # points looked at at a time
+_ASTRAY = 100_000.0  # from the median of a cloud: farther than any survey reaches [m]
 
 
-def check_coordinates(path: Path, xyz: Floats) -> None:
-    """Refuse empty clouds and coordinates that are not finite."""
+def check_coordinates(path: Path, xyz: Floats, first: int | None = None) -> None:
+    """Refuse empty clouds and coordinates that are not finite.
+
+    ``first``: the number in the file of the first of these points; None where they are all of the file.
+    """
     if len(xyz) == 0:
         raise InputError(f"{path}: the cloud is empty; give a cloud with points")
     parts = (xyz[start : start + _PART] for start in range(0, len(xyz), _PART))
     bad = sum(0 if np.isfinite(part).all() else int((~np.isfinite(part)).any(axis=1).sum()) for part in parts)
     if bad:
+        of = f"{len(xyz)} points" if first is None else f"the points {first + 1} to {first + len(xyz)}"
         raise InputError(
-            f"{path}: {bad} of {len(xyz)} points have NaN or infinite coordinates; "
-            "remove them and export again"
+            f"{path}: {bad} of {of} have NaN or infinite coordinates; remove them and export again"
+        )
+
+
+def refuse_strays(path: Path, xyz: Floats) -> None:
+    """Refuse points (N, 3) so far from the others that no survey holds both."""
+    if len(xyz) == 0:
+        return
+    low, high = extent_of(xyz)
+    if (high - low).max() <= _ASTRAY:
+        return
+    stray = int((np.abs(xyz - np.median(xyz, axis=0)) > _ASTRAY).any(axis=1).sum())
+    if stray:
+        raise InputError(
+            f"{path}: points farther than {_ASTRAY / 1000:.0f} km from the median of the cloud: {stray}; "
+            "remove these stray points"
         )
 
 
@@ -48,8 +67,13 @@ def refuse_rounded(path: Path, columns: Mapping[str, Column]) -> None:
             )
 
 
-def cloud_from_columns(path: Path, columns: Mapping[str, Column], crs: str | None) -> PointCloud:
-    """Build a cloud from scalar columns; ``nx ny nz`` become the field ``normals``."""
+def cloud_from_columns(
+    path: Path, columns: Mapping[str, Column], crs: str | None, first: int | None = None
+) -> PointCloud:
+    """Build a cloud from scalar columns; ``nx ny nz`` become the field ``normals``.
+
+    ``first``: the number in the file of the first of these points; None where they are all of the file.
+    """
     missing = [name for name in ("x", "y", "z") if name not in columns]
     if missing:
         raise InputError(f"{path}: no coordinate {', '.join(missing)}; a cloud needs x, y and z")
@@ -57,7 +81,7 @@ def cloud_from_columns(path: Path, columns: Mapping[str, Column], crs: str | Non
         raise InputError(f"{path}: x, y or z holds several numbers a point; export the cloud again")
     refuse_rounded(path, columns)
     xyz = np.stack([columns[n].astype(np.float64) for n in ("x", "y", "z")], axis=1)
-    check_coordinates(path, xyz)
+    check_coordinates(path, xyz, first)
     fields = {name: values for name, values in columns.items() if name not in ("x", "y", "z")}
     if all(name in fields for name in _NORMALS):
         fields["normals"] = np.stack([fields.pop(name) for name in _NORMALS], axis=1)

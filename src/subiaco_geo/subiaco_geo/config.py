@@ -68,6 +68,13 @@ def load_yaml(text: str) -> Any:
         raise yaml.YAMLError(reason) from error
 
 
+def _yaml_fault(error: yaml.YAMLError) -> str:
+    """Return the line at fault and what is wrong there."""
+    mark = getattr(error, "problem_mark", None)
+    said = getattr(error, "problem", None) or (str(error).splitlines() or ["empty"])[0]
+    return said if mark is None else f"line {mark.line + 1}: {said}"
+
+
 class StrictModel(BaseModel):
     """Frozen model that refuses unknown keys.
 
@@ -120,9 +127,10 @@ def read_parameters(path: Path) -> dict[str, Any]:
         document = load_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        first = str(error).splitlines()[0]
-        raise InputError(f"{path}: not valid YAML ({first})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text file; give a configuration in YAML") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not valid YAML ({_yaml_fault(error)}); correct it") from error
     try:
         parameters = document["/**"]["ros__parameters"]
     except (TypeError, KeyError, IndexError) as error:
@@ -205,8 +213,15 @@ def _holds(values: object, place: Sequence[int | str]) -> bool:
     return True
 
 
-def load_config(model: type[Model], files: Sequence[Path] = (), settings: Iterable[str] = ()) -> Model:
-    """Load a model from files and ``key=value`` settings, later ones winning.
+def load_config(
+    model: type[Model],
+    files: Sequence[Path] = (),
+    settings: Iterable[str] = (),
+    options: Mapping[str, str] | None = None,
+) -> Model:
+    """Load a model from files, options and ``key=value`` settings, later ones winning.
+
+    ``options`` are further settings, by the words of the command that errors name.
 
     Raises
     ------
@@ -214,6 +229,7 @@ def load_config(model: type[Model], files: Sequence[Path] = (), settings: Iterab
         Names the file or setting at fault, the field, and what it may be.
     """
     sources = [(str(path), read_parameters(Path(path))) for path in files]
+    sources += [(words, parse_setting(setting)) for words, setting in (options or {}).items()]
     sources += [(f"--set {setting}", parse_setting(setting)) for setting in settings]
     values: dict[str, Any] = {}
     for _, given in sources:

@@ -29,6 +29,15 @@ class RegistrationError(SubiacoError):
     exit_code = 3
 
 
+def reason_of(error: Exception) -> str:
+    """Return why a file could not be read in words for its user: the system's reason, or what it is not."""
+    if isinstance(error, OSError):
+        return (error.strerror or str(error) or "refused").lower()
+    if isinstance(error, UnicodeDecodeError):
+        return "not a text file"
+    return " ".join(str(error).split())
+
+
 @contextmanager
 def errors_name(path: Path) -> Iterator[None]:
     """Let input errors that are raised inside name the file that is read there, where they do not yet."""

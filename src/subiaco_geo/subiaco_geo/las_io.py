@@ -93,7 +93,8 @@ def las_parts(path: Path, fields: tuple[str, ...], size: int, first: int = 0) ->
                 columns: dict[str, Column] = {axis: np.asarray(points[axis], np.float64) for axis in "xyz"}
                 columns |= {name: np.asarray(points[name]) for name in present}
                 found += len(points)
-                yield cloud_from_columns(path, columns, crs)
+                part = None if len(points) == expected else found - len(points)
+                yield cloud_from_columns(path, columns, crs, part)
     _check_whole(path, found, expected)
 
 

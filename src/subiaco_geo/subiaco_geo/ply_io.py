@@ -88,12 +88,13 @@ def ply_parts(path: Path, size: int, first: int = 0) -> Iterator[PointCloud]:
         stream.seek(first * vertex.dtype(_ORDERS[header.form]).itemsize, os.SEEK_CUR)
         for start in range(first, vertex.count, size):
             rest = replace(vertex, count=min(size, vertex.count - start))
-            yield _cloud(path, _read_binary(path, stream, rest, _ORDERS[header.form]), header)
+            part = None if rest.count == vertex.count else start
+            yield _cloud(path, _read_binary(path, stream, rest, _ORDERS[header.form]), header, part)
 
 
-def _cloud(path: Path, table: NDArray[np.void], header: _Header) -> PointCloud:
+def _cloud(path: Path, table: NDArray[np.void], header: _Header, first: int | None = None) -> PointCloud:
     columns = {_plain_name(name): table[name] for name in table.dtype.names or ()}
-    return cloud_from_columns(path, columns, header.crs)
+    return cloud_from_columns(path, columns, header.crs, first)
 
 
 def _plain_name(name: str) -> str:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from subiaco_geo.cloud_fields import refuse_strays
 from subiaco_geo.cloud_parts import cloud_parts, with_only
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
@@ -122,6 +123,7 @@ class EpochFiles:
     uncertainty: PoseUncertainty | None
     visibility: Path | None
     info: Mapping[str, Any] = field(default_factory=dict)
+    trajectory_file: Path | None = None
 
     @property
     def has_beams(self) -> bool:
@@ -129,8 +131,10 @@ class EpochFiles:
         return self.visibility is not None
 
     def clouds(self, fields: tuple[str, ...]) -> Iterator[PointCloud]:
-        """Yield the points of the file part by part."""
-        return cloud_parts(self.cloud, fields)
+        """Yield the points of the file part by part; a part with stray points is refused."""
+        for part in cloud_parts(self.cloud, fields):
+            refuse_strays(self.cloud, part.xyz)
+            yield part
 
     def beams(self) -> Iterator[VisibilityGrid]:
         """Yield the counts of beams part by part."""
@@ -178,4 +182,5 @@ def open_epoch(
         head.uncertainty,
         beams if path.is_dir() and beams.is_file() else None,
         info,
+        path / "trajectory.tum" if trajectory is None else Path(trajectory),
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from subiaco_geo.crs import transformer
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, reason_of
 from subiaco_geo.frames import Floats
 from subiaco_geo.geoid import undulations
 
@@ -114,7 +114,9 @@ def _rows(path: Path) -> list[dict[str, str]]:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             raw = list(csv.DictReader(stream))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give a CSV of control points") from error
+        raise InputError(
+            f"{path}: cannot be read ({reason_of(error)}); give a CSV of control points"
+        ) from error
     if not raw:
         raise InputError(f"{path}: holds no control points; give a CSV with {','.join(('name', *SURVEYED))}")
     names = {key: key.strip().lower() for key in raw[0] if key is not None}

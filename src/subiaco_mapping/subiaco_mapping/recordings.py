@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.errors import InputError
-from subiaco_geo.work.executors import make_executor
+from subiaco_geo.work.executors import make_executor, running
 from subiaco_geo.work.results import unpack
 from subiaco_geo.work.store import DiskStore
 from subiaco_geo.work.tasks import Inputs, Task
@@ -104,7 +103,7 @@ def read_beside(
     by_name = {task.name: (task, recording) for task, recording in zip(tasks, left, strict=True)}
     store = DiskStore(checkpoint.folder / "read")
     report("odometry", 0.0)
-    with closing(make_executor(min(workers, len(left)), preload=[read.__module__])) as executor:
+    with running(make_executor(min(workers, len(left)), preload=[read.__module__])) as executor:
         for done, spent in enumerate(executor.run(store, tasks), 1):
             task, recording = by_name[spent.name]
             packed = unpack(PackedRecord, store.load(task.key)).record.tobytes()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -27,9 +28,16 @@ from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError
 
 
-def _settings(given: list[str] | None, **named: object) -> list[str]:
-    """Put named options, where given, before the ``--set`` ones."""
-    return [f"{key}={value}" for key, value in named.items() if value is not None] + (given or [])
+def _options(named: Mapping[str, tuple[str, object]]) -> dict[str, str]:
+    """Return the settings that options make, where given, by the words typed.
+
+    ``named``: the setting and the value of every option.
+    """
+    given = {option: setting for option, setting in named.items() if setting[1] is not None}
+    return {
+        option if value is True else f"{option} {value}": f"{key}={'true' if value is True else value}"
+        for option, (key, value) in given.items()
+    }
 
 
 def _whole(path: Path | None) -> Path | None:
@@ -73,16 +81,18 @@ def simulate(
     from subiaco_sim.survey import simulate as simulate_survey
 
     set_up_logging(verbose, quiet)
-    named: dict[str, Any] = {
-        "seed": seed,
-        "preset": preset,
-        "epoch": epoch,
-        "duration": duration,
-        "mode": mode,
-        "maps_only": True if maps_only else None,
-    }
+    options = _options(
+        {
+            "--seed": ("seed", seed),
+            "--preset": ("preset", preset),
+            "--epoch": ("epoch", epoch),
+            "--duration": ("duration", duration),
+            "--mode": ("mode", mode),
+            "--maps-only": ("maps_only", maps_only or None),
+        }
+    )
     files = config_files("simulation", tuple(config or ()))
-    model = load_config(SimulationConfig, files, _settings(settings, **named))
+    model = load_config(SimulationConfig, files, settings or [], options)
     with Progress(quiet=quiet) as progress:
         simulate_survey(out, model, progress, overwrite=overwrite)
     say(f"simulated survey: {out}", quiet=quiet)
@@ -254,16 +264,18 @@ def map_(
         say(f"map: {output} is finished; nothing to resume", quiet=quiet)
         return
     files = config_files("mapping", tuple(config or ()))
-    named: dict[str, object] = {
-        "control.file": _whole(control),
-        "reference.cloud": _whole(reference),
-        "threads": threads,
-    }
-    named |= {"fusion.full_density": "true"} if full_density else {}
+    options = _options(
+        {
+            "--control": ("control.file", _whole(control)),
+            "--reference": ("reference.cloud", _whole(reference)),
+            "--threads": ("threads", threads),
+            "--full-density": ("fusion.full_density", full_density or None),
+        }
+    )
     request = MappingRequest.of(
         bags=tuple(bags), output=output, workers=workers or os.cpu_count() or 1,
         resume=resume is not False, keep_checkpoint=keep_checkpoint, overwrite=overwrite,
-        config=load_config(MappingConfig, files, _settings(settings, **named)),
+        config=load_config(MappingConfig, files, settings or [], options),
     )  # fmt: skip
     with Progress(quiet=quiet) as progress:
         survey = run_mapping(request, progress, map_classes)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import errno
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import Annotated
 
 import typer
@@ -36,13 +40,13 @@ A survey in four commands:
 \b
 Exit codes: 0 done, 2 bad input or usage, 3 a registration that failed or
 cannot be trusted, or a map that its own fixes contradict, 1 a fault of ours,
-130 interrupted.
+130 interrupted, 143 ended by SIGTERM.
 """
 #: What a file system refuses for reasons that are the user's to mend.
 _DISK_REFUSALS = frozenset(
     {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.ENOTDIR, errno.ENAMETOOLONG}
 )
-_INTERRUPTED = 130
+_INTERRUPTED, _TERMINATED = 130, 143
 
 app = typer.Typer(
     name="subiaco",
@@ -116,6 +120,25 @@ def _report_unexpected(error: Exception, words: Sequence[str]) -> int:
     return 1
 
 
+@contextmanager
+def _sigterm_interrupts() -> Iterator[list[int]]:
+    """Let SIGTERM end a command as Ctrl-C does; yield the signals that came."""
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        came.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL if before is None else before)
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
@@ -126,8 +149,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     verbose = "-v" in words or "--verbose" in words
+    terminated: list[int] = []
     try:
-        outcome = app(args=words, prog_name="subiaco", standalone_mode=False)
+        with _sigterm_interrupts() as terminated:
+            outcome = app(args=words, prog_name="subiaco", standalone_mode=False)
     except SubiacoError as error:
         if verbose:
             traceback.print_exc()
@@ -144,6 +169,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _report_unexpected(error, words)
     if outcome == _INTERRUPTED:  # typer turns Ctrl-C into this code without a word
         _report("interrupted; no output was written")
+        return _TERMINATED if terminated else _INTERRUPTED
     return int(outcome or 0)
 
 

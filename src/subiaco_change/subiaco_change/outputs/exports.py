@@ -81,8 +81,7 @@ def export_changes(
         Not a change directory, a kind that it does not have, a table without
         CRS as GeoJSON or KML, or an output that exists.
     """
-    if kind not in (*CLOUD_ENDINGS, *TABLE_KINDS, FOXGLOVE):
-        raise InputError(f"{directory}: a table of changes has no {kind}; give another --to")
+    _refuse_what_is_none(directory, kind)
     table = read_reviewed(directory)
     if table is None:
         raise InputError(f"{directory}: not the output of 'subiaco change' (no changes.csv, changes.parquet)")
@@ -111,6 +110,14 @@ def export_changes(
             if kind == "gpkg":
                 _copy_layers(directory, target / "changes.gpkg", table[chosen])
     return sorted(output.iterdir())
+
+
+def _refuse_what_is_none(directory: Path, kind: str) -> None:
+    """Refuse a file in place of a directory, and forms that change directories lack."""
+    if directory.is_file():
+        raise InputError(f"{directory}: is a file; give a map directory or a change directory to export")
+    if kind not in (*CLOUD_ENDINGS, *TABLE_KINDS, FOXGLOVE):
+        raise InputError(f"{directory}: a table of changes has no {kind}; give another --to")
 
 
 def _above_geoid(table: gpd.GeoDataFrame, geoid: Path) -> gpd.GeoDataFrame:

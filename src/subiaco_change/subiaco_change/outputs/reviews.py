@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from subiaco_change.outputs.table import REVIEW_COLUMNS, STATISTICS, read_csv, read_stored, with_footprints
 from subiaco_geo.codes import CHANGED_LABELS
 from subiaco_geo.csv_cells import restore_cell
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, reason_of
 from subiaco_geo.frames import Ints
 
 _REVIEWS = """
@@ -110,14 +110,18 @@ def read_review_file(path: Path) -> pd.DataFrame:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: no reviews could be read ({error}); save them from the report") from error
+        raise InputError(
+            f"{path}: no reviews could be read ({reason_of(error)}); save them from the report"
+        ) from error
     first = text.partition("\n")[0]
     separator = ";" if first.count(";") > first.count(",") else ","
     try:
         reader = csv.DictReader(io.StringIO(text), delimiter=separator)
         names, rows = reader.fieldnames or [], list(reader)
     except csv.Error as error:
-        raise InputError(f"{path}: no reviews could be read ({error}); save them from the report") from error
+        raise InputError(
+            f"{path}: no reviews could be read ({reason_of(error)}); save them from the report"
+        ) from error
     for name in ("object_uid", "review"):
         if name not in names:
             raise InputError(f"{path}: column {name} is missing; give the file that the report saves")

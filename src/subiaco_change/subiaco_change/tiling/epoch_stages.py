@@ -7,9 +7,11 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.constants import foot
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.driven_lane import SurveyPath
@@ -59,7 +61,7 @@ from subiaco_change.tiling.tile_segmentation import SegmentationParams, Segmenta
 from subiaco_change.view_from_above import seen_from_above
 from subiaco_change.visibility_evidence import evidence_kind
 from subiaco_geo.crs import Transform, transformer
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.expected_visibility import occupied_columns, occupied_corner, sample_poses
 from subiaco_geo.free_space.sensor_view import SensorView, described_view, spin_headings
@@ -114,6 +116,7 @@ class Epochs:
     simulated: bool = False
     sizes: dict[str, dict[str, int]] = field(default_factory=dict)  # points by epoch and tile, at the leaf
     input_points: int = 0  # of both epochs, of all tiles
+    feet_hint: str = ""  # what a registration that fails says of the units
 
     @property
     def size(self) -> float:
@@ -178,6 +181,7 @@ class Epochs:
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
+        self.feet_hint = "" if both else _feet_hint(*(high - low for low, high in extents))
 
     def check_heights(self) -> None:
         """Refuse georeferenced epochs whose heights are of two kinds, from tiles that both have.
@@ -216,6 +220,7 @@ class Epochs:
             raise InputError(f"{name}: {error}") from error
         if found.points == 0:
             raise InputError(f"{name}: the cloud is empty; check the file")
+        _refuse_no_survey(_named(name, epoch, "cloud"), epoch.crs, found, self.config.registration.min_points)
         self.clouds[name], self.inputs[name], self.sizes[name] = found.keys, found.inputs, found.sizes
         self.input_points += found.points
         for field_name in self.given:
@@ -254,6 +259,7 @@ class Epochs:
         elif kind == "shadow":
             side = replace(side, from_above=self._from_above(name))
         elif kind == "trajectory" and way is not None:
+            _refuse_elsewhere(_named(name, epoch, "trajectory_file"), way, cut, config.poses.max_range)
             side = replace(side, corner=occupied_corner(cut.low, config.poses))
             self.beams[name] = self._render(side, way)
             side = replace(side, view=self._view(side, epoch, way))
@@ -340,7 +346,10 @@ class Epochs:
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.clouds[e].items()}
         task = Task("registration", "all", find_registration, clouds, self.registering(transform))
         stages: list[Sequence[Task[Any]]] = [[task], *(self._semantics(side) for side in self.sides)]
-        found, *prepared = self.runner.together(stages, (0.05, 0.47))
+        try:
+            found, *prepared = self.runner.together(stages, (0.05, 0.47))
+        except RegistrationError as error:
+            raise RegistrationError(f"{error}{self.feet_hint}") from error
         self.prepared = dict(zip(EPOCHS, prepared, strict=True))
         for warning in self.registration(found["all"]).warnings:
             _LOG.warning("registration: %s", warning)
@@ -449,3 +458,44 @@ def corners_around(name: str, size: float, rim: float) -> Floats:
     """Return the corners (8, 3) of a tile and its surroundings in the world [m]."""
     box = tile_named(name, size, rim).buffered
     return corners(np.array(box[:2]), np.array(box[2:]))
+
+
+def _named(name: str, epoch: Epoch, kind: str) -> str:
+    """Return *before* or *after* with the file of an epoch, where it was read from one."""
+    file = getattr(getattr(epoch, "epoch", epoch), kind, None)
+    return f"{name}: {file}" if isinstance(file, Path) else name
+
+
+def _refuse_no_survey(who: str, crs: str | None, cut: CutCloud, least: int) -> None:
+    """Refuse points that are all at one place, and coordinates in degrees, of which few voxels are left."""
+    if np.array_equal(cut.low, cut.high):
+        raise InputError(
+            f"{who}: all {cut.points} points are at one place; check the cloud, or export it again"
+        )
+    span, largest = cut.high - cut.low, np.maximum(np.abs(cut.low), np.abs(cut.high))
+    if crs is None and cut.kept < least and span[:2].max() < 1.0 and largest[0] <= 180 and largest[1] <= 90:
+        raise InputError(
+            f"{who}: the coordinates look like degrees (x {cut.low[0]:.5f} to {cut.high[0]:.5f}, "
+            f"y {cut.low[1]:.5f} to {cut.high[1]:.5f}) and the file names no CRS; reproject it to metres"
+        )
+
+
+def _feet_hint(before: Floats, after: Floats) -> str:
+    """Return what extents (3,) say that differ in plan as metres and feet do; else nothing."""
+    ratio = before[:2] / np.maximum(after[:2], 1e-9)
+    for name, factor in (("before", ratio), ("after", 1.0 / np.maximum(ratio, 1e-9))):
+        if np.all(np.abs(factor * foot - 1.0) < 0.05):
+            return f"; the extent of {name} is {factor.mean():.2f} times as large: it may be in feet"
+    return ""
+
+
+def _refuse_elsewhere(who: str, way: Trajectory, cut: CutCloud, reach: float) -> None:
+    """Refuse poses that are all farther from the extent of a cloud, in plan, than a surface is seen [m]."""
+    position = way.positions[:, :2]
+    outside = np.maximum(np.maximum(cut.low[:2] - position, position - cut.high[:2]), 0.0)
+    nearest = float(np.linalg.norm(outside, axis=1).min(initial=np.inf))
+    if nearest > reach:
+        raise InputError(
+            f"{who}: no pose of the trajectory lies within {reach:.0f} m of the cloud (the nearest is "
+            f"{nearest:.0f} m away); give the trajectory of this cloud"
+        )

@@ -93,6 +93,8 @@ def read_trajectory(
     path = Path(path)
     kind = _kind_of(path) if form.kind == "auto" else form.kind
     recorded = _READERS[kind](path, form, group)
+    if len(recorded.times_ns) < 2:
+        raise InputError(f"{path}: holds fewer than 2 poses; give the whole trajectory, or leave it out")
     clock, times_ns = _dated(recorded, form)
     thin = np.arange(len(times_ns)) if kind == "tum" else _thinned(times_ns)
     turned = None if recorded.rotations is None else recorded.rotations[thin]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, reason_of
 from subiaco_geo.frames import Floats
 from subiaco_geo.trajectory_files.formats import GPS_EPOCH_NS, WEEK_NS, RecordedPath
 
@@ -116,7 +116,9 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
-        raise InputError(f"{path}: cannot be read as an RTKLIB solution ({error}); check the file") from error
+        raise InputError(
+            f"{path}: cannot be read as an RTKLIB solution ({reason_of(error)}); check the file"
+        ) from error
     for number, line in enumerate(text.splitlines(), 1):
         if line.strip():
             yield number, line.strip()

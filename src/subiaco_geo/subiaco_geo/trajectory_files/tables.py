@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, reason_of
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.trajectories import parse_seconds
 from subiaco_geo.trajectory_files.attitude import rotation_from_enu, rotation_from_ned
@@ -78,7 +78,9 @@ def first_row(path: Path) -> str:
             lines = (line.strip() for line in stream)
             return next((line for line in lines if line and line[0] not in _COMMENTS), "")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a text file of poses ({error}); name its format") from error
+        raise InputError(
+            f"{path}: no poses could be read ({reason_of(error)}); give a text file of poses, or .sbet"
+        ) from error
 
 
 def read_table(path: Path, form: TrajectoryFormat, group: str) -> RecordedPath:
@@ -114,7 +116,9 @@ def _open_table(path: Path, group: str) -> _Table:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a text file of poses ({error}); name its format") from error
+        raise InputError(
+            f"{path}: no poses could be read ({reason_of(error)}); give a text file of poses, or .sbet"
+        ) from error
     written = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip()]
     comments = [line for _, line in written if line[0] in _COMMENTS]
     plain = [(number, line) for number, line in written if line[0] not in _COMMENTS]

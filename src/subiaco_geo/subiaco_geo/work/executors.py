@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from typing import Any, Protocol
 
 import numpy as np
@@ -41,7 +43,11 @@ class Executor(Protocol):
         ...
 
     def close(self) -> None:
-        """Let the workers go."""
+        """Let the workers go when their tasks have ended."""
+        ...
+
+    def stop(self) -> None:
+        """End the workers at once, in the middle of their tasks."""
         ...
 
 
@@ -65,6 +71,9 @@ class InProcess:
     def close(self) -> None:
         """Do nothing."""
 
+    def stop(self) -> None:
+        """Do nothing."""
+
 
 class LocalPool:
     """Worker processes on this machine, one thread each, which take the largest tasks first.
@@ -83,7 +92,8 @@ class LocalPool:
         self._pool: ProcessPoolExecutor | None = None
         self._context = multiprocessing.get_context("forkserver")  # this process may hold threads and locks
         self._context.set_forkserver_preload(list(preload))
-        with _one_thread():
+        resource_tracker.ensure_running()  # unblocks SIGINT, so it starts first
+        with _one_thread(), _interrupt_blocked(), _signals_deferred():
             forkserver.ensure_running()
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
@@ -105,7 +115,7 @@ class LocalPool:
         )
 
     def _drain(self, store: Store, left: dict[str, Task[Any]]) -> Iterator[TaskCost]:
-        with _one_thread():  # workers start with the tasks
+        with _one_thread(), _signals_deferred():  # workers start with the tasks
             pool = self._started()
             futures = {pool.submit(execute, store, task): key for key, task in left.items()}
         try:
@@ -113,20 +123,88 @@ class LocalPool:
                 spent = future.result()
                 del left[futures[future]]
                 yield spent
+        except KeyboardInterrupt:
+            self.stop()
+            raise
         finally:
             for future in futures:
                 future.cancel()
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(self.workers, self._context)
+            self._pool = ProcessPoolExecutor(self.workers, self._context, _end_with_parent)
         return self._pool
 
     def close(self) -> None:
-        """End the worker processes."""
+        """End the worker processes when their tasks have ended."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
+
+    def stop(self) -> None:
+        """Kill the worker processes."""
+        if self._pool is None:
+            return
+        pool, self._pool = self._pool, None
+        for worker in list((pool._processes or {}).values()):  # noqa: SLF001 - Python 3.14 has kill_workers
+            worker.kill()
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextmanager
+def running(executor: Executor) -> Iterator[Executor]:
+    """Close an executor at the end, or stop it where Ctrl-C or SIGTERM ended the run."""
+    try:
+        yield executor
+    except KeyboardInterrupt:
+        executor.stop()
+        raise
+    finally:
+        executor.close()
+
+
+def _end_with_parent() -> None:
+    """Let a worker ignore Ctrl-C, which its parent handles, and end when its parent has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+@contextmanager
+def _interrupt_blocked() -> Iterator[None]:
+    """Let a process that starts meanwhile, and those that it starts, get no SIGINT: Ctrl-C goes to all."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _signals_deferred() -> Iterator[None]:
+    """Handle SIGINT and SIGTERM at the end: a worker that is half started would end with a traceback."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _frame: came.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def _weight(store: Store, task: Task[Any]) -> int:
@@ -250,6 +328,10 @@ class Dask:
         """Leave the cluster; it goes on."""
         with suppress(OSError, TimeoutError):
             self._client.close()
+
+    def stop(self) -> None:
+        """Leave the cluster; tasks that nobody waits for are cancelled by its scheduler."""
+        self.close()
 
 
 def _check_sight(client: Any, store: Store) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.crs import EnuFrame
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, reason_of
 from subiaco_geo.frames import Floats
 
 _CSV_NAMES = (("lat", "latitude"), ("lon", "lng", "longitude"))
@@ -59,12 +59,14 @@ def read_route(path: Path) -> list[Floats]:
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give a GeoJSON or CSV file") from error
+        raise InputError(
+            f"{path}: cannot be read ({reason_of(error)}); give a GeoJSON or CSV file"
+        ) from error
     try:
         lines = _csv_lines(text) if Path(path).suffix.lower() == ".csv" else _geojson_lines(json.loads(text))
     except (ValueError, KeyError, TypeError, IndexError, StopIteration) as error:
         raise InputError(
-            f"{path}: not a route ({error}); give a GeoJSON line, or CSV with columns lat,lon"
+            f"{path}: holds no route; give a GeoJSON line, or CSV with columns lat,lon in degrees"
         ) from error
     lines = [line for line in lines if len(line) > 1]
     if not lines or any(not np.isfinite(line).all() or np.abs(line[:, 0]).max() > 90 for line in lines):

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from subiaco_geo.bags import TYPESTORE
 from subiaco_geo.config import StrictModel
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, reason_of
 from subiaco_geo.frames import Floats
 from subiaco_geo.topics import HEADING, IMU
 from subiaco_geo.trajectory_files.rtklib import SUFFIX
@@ -130,7 +130,9 @@ def _rows(path: Path, needed: tuple[str, ...], key: str) -> Iterator[tuple[int, 
             for row in reader:
                 yield reader.line_num, row
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as a CSV log ({error}); check the file") from error
+        raise InputError(
+            f"{path}: cannot be read as a CSV log ({reason_of(error)}); check the file"
+        ) from error
 
 
 def _imu(topic: str, time_ns: int, frame: str, yaw: float, variance: float, rates: list[float]) -> LogMessage:

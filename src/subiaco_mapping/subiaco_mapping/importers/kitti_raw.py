@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, reason_of
 from subiaco_geo.frames import Floats, Ints, invert_pose, make_pose
 from subiaco_mapping.importers.bag_messages import LogMessage, cloud_message, extrinsics_message, fix_message
 from subiaco_mapping.importers.csv_logs import imu_message, parse_time_ns
@@ -78,7 +78,9 @@ def _stamps(path: Path) -> Ints:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); it holds the stamps of the drive") from error
+        raise InputError(
+            f"{path}: cannot be read ({reason_of(error)}); it holds the stamps of the drive"
+        ) from error
     found = []
     for number, line in enumerate(lines, 1):
         try:

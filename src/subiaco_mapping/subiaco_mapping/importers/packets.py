@@ -12,17 +12,18 @@ import logging
 import struct
 import tempfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from ouster.sdk import core, osf, pcap
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import ReaderError
 
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, reason_of
 from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, types_of
 from subiaco_mapping.importers.bag_messages import LogMessage
 from subiaco_mapping.importers.isolated_reader import read_isolated
@@ -39,6 +40,7 @@ _ROS1_FAULTS = (
 )  # fmt: skip
 #: What the libraries of the sensor raise where a file is damaged; sizes in it may exceed any memory.
 _SDK_FAULTS = (RuntimeError, ValueError, MemoryError, OverflowError, LookupError)
+_CLOCKS_AGREE_NS = 10**9  # of the LiDAR and of the logs
 _PCAP_SUFFIXES = (".pcap", ".pcapng")
 _ROS2_SUFFIXES = (".mcap", ".db3")
 _LOG_OPTIONS = {".pos": "--gnss", ".csv": "--gnss or --imu"}
@@ -77,7 +79,9 @@ def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as metadata JSON ({error})") from error
+        raise InputError(
+            f"{path}: cannot be read as metadata JSON ({reason_of(error)}); pass --metadata FILE"
+        ) from error
 
 
 def _first_line(error: Exception) -> str:
@@ -215,6 +219,7 @@ def _write_bag(
     logged: Iterable[LogMessage],
 ) -> dict[str, int]:
     counts: dict[str, int] = {}
+    spans: dict[str, tuple[int, int]] = {}
     streams: list[Iterable[RecordedPacket | LogMessage]] = [packets, logged]
     with BagWriter(bag) as writer:
         for packet in heapq.merge(*streams, key=lambda item: item.time_ns):
@@ -237,11 +242,29 @@ def _write_bag(
                 latched=packet.topic in LATCHED,
             )
             counts[packet.topic] = counts.get(packet.topic, 0) + 1
+            spans[packet.topic] = spans.get(packet.topic, (packet.time_ns, 0))[0], packet.time_ns
         if LIDAR_PACKETS not in counts and POINTS not in counts:
             raise InputError(
                 f"{recording}: no LiDAR packet of this sensor in it; check recording and metadata"
             )
+        _refuse_other_times(recording, spans)
     return counts
+
+
+def _refuse_other_times(recording: Path, spans: Mapping[str, tuple[int, int]]) -> None:
+    """Refuse logs whose times [ns], first and last by topic, have nothing in common with the LiDAR's."""
+    lidar = LIDAR_PACKETS if LIDAR_PACKETS in spans else POINTS
+    begin, end = spans[lidar]
+    for topic, (first, last) in spans.items():
+        if first > end + _CLOCKS_AGREE_NS or last < begin - _CLOCKS_AGREE_NS:
+            raise InputError(
+                f"{recording}: {lidar} lasts from {_utc(begin)} to {_utc(end)}, {topic} from {_utc(first)} "
+                f"to {_utc(last)}; give the log of this drive, in UTC"
+            )
+
+
+def _utc(time_ns: int) -> str:
+    return f"{np.datetime64(time_ns, 'ns').astype('datetime64[s]')}Z"
 
 
 def import_recording(

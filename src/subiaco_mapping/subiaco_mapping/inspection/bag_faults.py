@@ -12,6 +12,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.topics import FIX, IMU_PACKETS, LIDAR_PACKETS, MESSAGE_TYPES, POINTS, TF_STATIC, types_of
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.pose_graph.gnss import enough_to_place
 from subiaco_mapping.preprocessing.conversions import check_frames, fix_from_msg
 
 _EARTH = 6_371_000.0  # [m]
@@ -108,6 +109,10 @@ def _fixes(reader: BagReader, config: MappingConfig) -> tuple[list[str], list[st
         return [f"{int(jumps.sum())} of {len(usable)} fixes jump, by up to {steps.max() / 1e3:.0f} km"], []
     cares = [f"{int(jumps.sum())} fixes jump, by up to {steps.max() / 1e3:.1f} km"] if jumps.any() else []
     latitude, longitude = np.median(place, axis=0).tolist()
+    north, east = _EARTH * np.radians(place).T * [[1.0], [np.cos(np.radians(latitude))]]
+    too_few = enough_to_place(np.stack([east, north, np.zeros(len(place))], axis=1), config.gnss)
+    if too_few is not None:
+        cares.append(f"{too_few} to place the map: it will be local, without CRS")
     try:
         require_inside(latitude, longitude, crs_at(latitude, longitude, config.crs))
     except InputError as error:
