@@ -184,7 +184,7 @@ def _draw_marks(axis: Axes, marks: Sequence[Mark]) -> None:
 
 def change_legend() -> list[Patch]:
     """Return legend entries for every change label."""
-    names = {Change.NOT_REPORTED: "Not reported (mobile)", Change.UNOBSERVED: "Unobserved in the other epoch"}
+    names = {Change.NOT_REPORTED: "Not reported", Change.UNOBSERVED: "Unobserved (nothing claimed)"}
     return [_patch(names.get(change, change.label), rgb) for change, rgb in CHANGE_COLOURS.items()]
 
 
