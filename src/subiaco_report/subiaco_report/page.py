@@ -15,6 +15,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
+from subiaco_change.outputs.geopackage import layers_of
 from subiaco_change.outputs.reviews import review_counts
 from subiaco_change.records import SEMANTIC_COLOURS
 from subiaco_geo.atomic import whole_file
@@ -129,6 +130,7 @@ def build_report(directory: Path) -> Path:
     if "object_uid" not in change.table.columns:
         table = directory / "changes.csv"
         raise InputError(f"{table}: column object_uid is missing; run 'subiaco change' again")
+    layers_of(directory / "changes.gpkg")  # a missing one is refused before the work
     changed = changed_rows(change.table)
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)
