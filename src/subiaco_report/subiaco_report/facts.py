@@ -115,6 +115,11 @@ def lod_facts(lod: LodCounts) -> dict[str, Any]:
     }
 
 
+def cell_level_cm(run: Mapping[str, Any]) -> float | None:
+    """Return the median LoD95 over the cells of 5 m that have one [cm], as ``run.json`` states it."""
+    return _scaled(run.get("level_of_detection", {}).get("median_where_known_m"), 100.0)
+
+
 def least_observed(directory: Path) -> float:
     """Return ``decisions.min_observed`` of the run: the share below which an object is hardly observed."""
     path = directory / "config.yaml"

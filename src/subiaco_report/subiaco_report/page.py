@@ -27,6 +27,7 @@ from subiaco_report.city_map import city_map
 from subiaco_report.cloud_windows import Gathered, gather
 from subiaco_report.colours import height_range
 from subiaco_report.facts import (
+    cell_level_cm,
     changed_rows,
     findings,
     is_simulated,
@@ -272,6 +273,7 @@ def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
         "run": change.run,
         "registration": registration_facts(change.registration),
         "lod": lod_facts(found.lod),
+        "cells_cm": cell_level_cm(change.run),
         "unseen": unseen_facts(change.table, found.coverage, least_observed(change.path)),
         "legend": legend(),
         "summary": summary(change.table),
