@@ -2,8 +2,8 @@
 
 Formulas become MathML, so that a page needs no script. A link to a file of the repository outside of ``docs``
 becomes the path of that file, because the site does not hold it. Pages of the reference are generated from
-the code (``scripts/reference_pages``). In the repository a link leads to the source of such a page; on the
-site it leads to the page.
+the code (``scripts/reference_pages``). A link to the source of a generated page,
+which the repository has, leads to the page on the site.
 """
 
 from __future__ import annotations
