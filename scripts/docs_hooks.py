@@ -2,12 +2,14 @@
 
 Formulas become MathML, so that a page needs no script. A link to a file of the repository outside of ``docs``
 becomes the path of that file, because the site does not hold it. Pages of the reference are generated from
-the code (``scripts/reference_pages``).
+the code (``scripts/reference_pages``). A link to the source of a generated page,
+which the repository has, leads to the page on the site.
 """
 
 from __future__ import annotations
 
 import html
+import os
 import re
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -22,7 +24,19 @@ ROOT = Path(__file__).resolve().parents[1]
 _FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\(?P<open>[(\[])(?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
 )
-_LINK = re.compile(r"(?<!!)\[(?P<text>[^\]]*)\]\((?P<target>\.\./[^)#]*)\)")
+_LINK = re.compile(r"(?<!!)\[(?P<text>[^\]]*)\]\((?P<target>\.\./[^)#]*)(?P<anchor>#[^)]*)?\)")
+#: What a link leads to in the repository, and the generated page that it leads to on the site.
+_GENERATED = {
+    "config": "reference/settings.md",
+    "scripts/reference_pages/output_files.yaml": "reference/files.md",
+    "src/subiaco_change/subiaco_change/config.py": "reference/settings-change.md",
+    "src/subiaco_change/subiaco_change/method_rules": "reference/rules.md",
+    "src/subiaco_evaluation/subiaco_evaluation/baselines/config.py": "reference/settings-baselines.md",
+    "src/subiaco_evaluation/subiaco_evaluation/learned/config.py": "reference/settings-training.md",
+    "src/subiaco_mapping/subiaco_mapping/config.py": "reference/settings-mapping.md",
+    "src/subiaco_msgs": "reference/messages.md",
+    "src/subiaco_sim/subiaco_sim/config.py": "reference/settings-simulation.md",
+}
 
 
 def on_config(config: Any) -> Any:
@@ -56,6 +70,9 @@ def _inside(link: re.Match[str], folder: PurePosixPath) -> str:
     if not path.exists():
         raise FileNotFoundError(f"{folder}: the link {link[0]} leads nowhere")
     name = path.relative_to(ROOT).as_posix()
+    if name in _GENERATED:
+        page = os.path.relpath(PurePosixPath("docs", _GENERATED[name]), folder)
+        return f"[{link['text']}]({page}{link['anchor'] or ''})"
     return f"`{name}`" if name.endswith(link["text"]) else f"{link['text']} (`{name}`)"
 
 

@@ -16,8 +16,8 @@ print(
     f"{1e3 * changes.directory.registration['sigma_reg_m']:.1f} mm"
 )
 
-# Area and volume by label, of rows that are surer than 0.8.
-sure = table[table["confidence"] > 0.8]
+# Area and volume by label, of rows that are surer than 0.7.
+sure = table[table["confidence"] > 0.7]
 print(sure.assign(area_m2=sure.area).groupby("label")[["area_m2", "delta_v_m3"]].sum().round(1).to_string())
 
 # Footprints buffered by 5 m, for a field crew.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
 
 import geopandas as gpd
@@ -194,6 +195,18 @@ def test_a_map_in_tiles_is_found_by_its_index_and_holds_every_point_once(tmp_pat
         table[:] = table[np.lexsort(table[:, :3].T)]
     np.testing.assert_allclose(found[:, :3], given[:, :3], rtol=0, atol=1e-3)
     np.testing.assert_allclose(found[:, 3], given[:, 3], rtol=0, atol=1.0)
+
+
+def test_a_shapefile_says_once_how_many_texts_it_cuts(change_directory, tmp_path, caplog, recwarn):
+    copy = shutil.copytree(change_directory, tmp_path / "copy")
+    table = pd.read_csv(copy / "changes.csv", dtype=str)
+    table.loc[[0, 2], "reason"] = "The object is new. " * 20
+    table.to_csv(copy / "changes.csv", index=False)
+    export_changes(copy, tmp_path / "out", "shp")
+    assert [record.message for record in caplog.records if "254" in record.message] == [
+        "changes.shp: 2 texts, such as reasons, were cut, because Shapefile allows 254 characters"
+    ]
+    assert not [warning for warning in recwarn if "truncated" in str(warning.message)]
 
 
 def test_other_folders_and_kinds_are_refused_and_leave_nothing(change_directory, tmp_path):

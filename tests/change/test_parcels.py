@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from shapely.geometry import box
 
-from subiaco_change.outputs.parcels import OUTSIDE, build_parcels, coverage_polygons, read_lots
+from subiaco_change.outputs.parcels import (
+    OUTSIDE,
+    build_parcels,
+    coverage_polygons,
+    read_lots,
+    refuse_lots_elsewhere,
+)
 from subiaco_change.outputs.rasters import Coverage
 from subiaco_geo.errors import InputError
 
@@ -91,3 +97,12 @@ def test_lots_that_cannot_be_placed_or_read_are_refused(tmp_path: Path, crs: str
     (tmp_path / "lots.gpkg").write_text("not a package")
     with pytest.raises(InputError, match=words):
         read_lots(tmp_path / "lots.gpkg", crs)
+
+
+def test_lots_of_which_none_touches_the_later_map_are_refused_with_both_extents(tmp_path: Path):
+    low, high = np.array([EAST, NORTH]), np.array([EAST + 15.0, NORTH + 10.0])
+    refuse_lots_elsewhere(tmp_path, lots(), low, high)
+    away = np.array([100_000.0, 0.0])
+    told = "the lots span E 391000 to 391040, N 6464000 to 6464010, the map E 491000 to 491015"
+    with pytest.raises(InputError, match=f"{told}.*check the CRS"):
+        refuse_lots_elsewhere(tmp_path, lots(), low + away, high + away)

@@ -294,6 +294,18 @@ def test_a_serious_finding_stands_in_command_line_run_report_and_summary(command
         assert found["remedy"] in box
 
 
+def test_every_finding_is_printed_once_with_and_without_a_line_of_the_log(command, tmp_path, caplog):
+    cloud = write_street(tmp_path / "street.ply")
+    (tmp_path / "copy.ply").write_bytes(cloud.read_bytes())
+    bare = write_street(tmp_path / "bare.ply", crs=None, seed=2)
+    for name, before in (("same_survey", tmp_path / "copy.ply"), ("crs_missing", bare)):
+        out = tmp_path / name
+        ran = command("change", before, cloud, "-o", out, "--registration", "identity", "--set", "leaf=0.5")
+        assert ran.code == 0, ran.err
+        known = {f["code"]: f["sentence"] for f in json.loads((out / "run.json").read_text())["findings"]}
+        assert (ran.err + caplog.text).count(known[name]) == 1, ran.err
+
+
 def test_ahd_against_ellipsoidal_heights_is_refused_before_the_registration(refused, tmp_path, good):
     high = write_street(tmp_path / "ahd.ply", shift=(0.0, 0.0, 32.7), seed=2)
     refused(pair(good, high, tmp_path), "32.7 m lower", "ellipsoid", "AHD", "--transform")

@@ -112,3 +112,29 @@ def test_a_bad_file_is_refused_with_its_line(
 ) -> None:
     with pytest.raises(InputError, match=words):
         read_control(write_points(tmp_path / "c.csv", rows, header), CRS)
+
+
+def test_semicolons_and_decimal_commas_are_read_as_a_spreadsheet_writes_them(tmp_path: Path) -> None:
+    path = write_points(
+        tmp_path / "c.csv", ["A, gate;388010,5;6464010,2;12,1;0,02"], "name;east;north;height;sigma_v"
+    )
+    points = read_control(path, CRS)
+    assert points.names == ("A, gate",)
+    assert points.surveyed.tolist() == [[388_010.5, 6_464_010.2, 12.1]]
+    assert points.sigma[0, 1] == 0.02
+
+
+def test_points_outside_the_map_are_said_to_be_so_far_outside_and_exchanged_columns_are_named(
+    tmp_path: Path,
+) -> None:
+    east, north, height = surveyed(10, 10).split(",")
+    for row, words in (
+        (
+            f"A,{float(east) + 1030},{north},{height}",
+            "1 of 1 control points lie outside the map, by 1000 m: check",
+        ),
+        (f"A,{north},{east},{height}", "with east and north exchanged they lie inside it"),
+    ):
+        path = write_points(tmp_path / "c.csv", [row])
+        first = check_control(sloping_map(), read_control(path, CRS)).summary()["warnings"][0]
+        assert words in first

@@ -90,6 +90,19 @@ def test_every_link_of_the_front_page_leads_to_a_file() -> None:
     assert not [target for target in links if not (ROOT / target).exists()]
 
 
+def test_every_link_of_the_documentation_leads_to_a_file_of_the_repository() -> None:
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
+            assert target.startswith("http") or (page.parent / target).exists(), f"{page}: {target}"
+
+
+def test_links_to_sources_of_generated_pages_lead_to_these_pages_on_the_site(site: Path) -> None:
+    text = (site / "questions.html").read_text(encoding="utf-8")
+    for name in ("files", "messages", "settings"):
+        assert re.search(rf'href="?reference/{name}\.html', text), name
+
+
 def test_every_figure_of_the_front_page_stands_on_the_page_that_it_links() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     lines = re.findall(r"^\* \*\*.+?(?=^\* |^$)", text, flags=re.MULTILINE | re.DOTALL)

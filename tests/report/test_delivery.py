@@ -229,3 +229,22 @@ def test_what_cannot_be_delivered_is_refused_and_leaves_nothing(change_directory
     assert "--cell -1.0: must be larger than 0" in capsys.readouterr().err
     assert run([*words, "--review", "some"]) == 2
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("verb", ["report", "deliver", "review"])
+def test_a_change_directory_without_its_geopackage_is_refused_in_one_line(
+    change_directory, tmp_path, capsys, verb
+):
+    shutil.copytree(change_directory, tmp_path / "copy", ignore=shutil.ignore_patterns("changes.gpkg"))
+    words = [verb, str(tmp_path / "copy"), *(["-o", str(tmp_path / "out")] if verb == "deliver" else [])]
+    assert run(words) == 2
+    assert "changes.gpkg: the file is missing; run 'subiaco change' again" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_cells_without_an_area_are_refused_before_anything_is_written(
+    change_directory, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("subiaco_report.delivery._copy", lambda *_: pytest.fail("the work began"))
+    with pytest.raises(InputError, match="--cell -1"):
+        deliver(change_directory, tmp_path / "out", Delivery(cell=-1.0))

@@ -166,3 +166,12 @@ def test_an_overview_names_no_objects_where_nobody_could_read_them(result):
     plain = pictures.overview(above, [])
     assert pictures.overview(above, [], [mark]) != plain
     assert pictures.overview(above, [], [mark] * 301) == plain
+
+
+def test_every_colour_of_the_legend_stands_in_the_written_overview_exactly(result):
+    world = result.after.world()
+    above = Above(pictures.overview_frame(world[:, :2].min(axis=0), world[:, :2].max(axis=0)))
+    above.add(world, np.full(len(world), Change.REMOVED, np.uint8))
+    written = np.asarray(Image.open(io.BytesIO(pictures.overview(above, []))).convert("RGB")).reshape(-1, 3)
+    for change, colour in CHANGE_COLOURS.items():
+        assert (written == colour).all(axis=1).sum() > 50, change.label

@@ -19,15 +19,18 @@ from PIL import Image
 from result_scene import ORIGIN, SceneConfig
 from shapely.geometry import box
 
+from subiaco_change.config import ChangeConfig
 from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
+from subiaco_change.outputs.rasters import Coverage
 from subiaco_change.outputs.reviews import read_review_file
 from subiaco_geo.codes import CHANGED_LABELS, Change
+from subiaco_geo.config import load_config, write_config
 from subiaco_geo.errors import InputError
 from subiaco_geo.findings import Finding
 from subiaco_report import evidence_pictures as evidence
 from subiaco_report import page as report_page
 from subiaco_report import pictures
-from subiaco_report.facts import number, summary
+from subiaco_report.facts import least_observed, number, summary, unseen_facts
 from subiaco_report.page import TABLE_COLUMNS, build_report, fullest_blocks
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
@@ -180,7 +183,7 @@ def test_it_says_in_words_what_the_registration_and_the_detection_limit_mean(pag
     assert "2.1 cm apart" in text
     assert "93 % of the surface pairs" in text
     assert "cannot be distinguished from noise" in text
-    assert "1 object stands where the other epoch could not look" in text
+    assert "Nothing is claimed about 1 object (Unobserved)" in text
     assert "EPSG:7850" in text
 
 
@@ -220,6 +223,18 @@ def test_a_directory_that_is_no_change_directory_is_refused(tmp_path):
 def test_numbers_are_grouped_and_missing_ones_are_a_dash():
     assert number(1234567.891, 1) == "1\u202f234\u202f567.9"
     assert number(None) == number(float("nan")) == number(np.inf) == "–"
+
+
+def test_unobserved_rows_are_counted_apart_by_whether_the_other_survey_saw_enough_of_the_place(tmp_path):
+    table = pd.DataFrame(
+        {"label": ["Unobserved"] * 3 + ["Added"], "observed_fraction": [0.1, 0.45, 0.9, 0.0]}
+    )
+    coverage = Coverage(np.ones((2, 2), np.uint8), np.ones((2, 2), np.float32), 0.0, 0.0, 1.0)
+    assert least_observed(tmp_path) == 0.3
+    write_config(tmp_path / "config.yaml", load_config(ChangeConfig, (), ["decisions.min_observed=0.5"]))
+    for least, little in ((0.3, 1), (least_observed(tmp_path), 2)):
+        facts = unseen_facts(table, coverage, least)
+        assert (facts["objects"], facts["little_seen"], facts["undecided"]) == (3, little, 3 - little)
 
 
 def test_the_summary_counts_every_row_once():

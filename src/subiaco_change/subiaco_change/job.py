@@ -34,7 +34,7 @@ from subiaco_change.input_checks import (
 )
 from subiaco_change.level_of_detection.registration_uncertainty import UncertaintyConfig
 from subiaco_change.outputs.directory import MARKER, ChangeInputs, PageWriter, write_change_directory
-from subiaco_change.outputs.parcels import read_lots
+from subiaco_change.outputs.parcels import read_lots, refuse_lots_elsewhere
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.pipeline import detect_in_tiles
 from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
@@ -248,7 +248,14 @@ def _start(request: ComparisonRequest) -> gpd.GeoDataFrame | None:
     refuse_existing(request.output, request.overwrite)
     refuse_foreign(request.output, MARKER)
     read_reviewed(request.output)  # a table that cannot be read back is refused before the work, not after it
-    return None if request.parcels is None else read_lots(request.parcels, open_epoch(request.after).crs)
+    if request.parcels is None:
+        return None
+    after = open_epoch(request.after)
+    lots = read_lots(request.parcels, after.crs)
+    ends = [(w.min(axis=0), w.max(axis=0)) for w in (part.world() for part in after.clouds(()) if len(part))]
+    low, high = np.min([end[0] for end in ends], axis=0), np.max([end[1] for end in ends], axis=0)
+    refuse_lots_elsewhere(request.parcels, lots, low, high)
+    return lots
 
 
 def _inputs(

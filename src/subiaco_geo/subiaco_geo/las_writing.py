@@ -32,7 +32,7 @@ _LIMITS = {
 }  # fmt: skip
 #: Descriptions of extra dimensions in the file, 32 characters at most as LAS has it.
 DESCRIPTIONS = {
-    "change": "0add 1rem 2inc 3dec 4same 255?",
+    "change": "0add1rem2inc3dec4same 254no 255?",
     "semantic": "0grnd 1bldg 2veg 3mobile 4other",
     "instance": "object_id of the table, -1 none",
     "confidence": "of the label, 0 to 1",

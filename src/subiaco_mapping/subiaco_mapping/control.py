@@ -45,6 +45,8 @@ class ControlResiduals:
         where the map has no points [m].
     crs : str, optional
         Of map and points.
+    extent : (2, 2) float64, optional
+        South-west and north-east corner of the map [m].
     """
 
     points: ControlPoints
@@ -53,6 +55,7 @@ class ControlResiduals:
     support: np.ndarray[Any, np.dtype[np.int64]]
     offset: Floats
     crs: str | None = None
+    extent: Floats | None = None
 
     def summary(self) -> dict[str, Any]:
         """Return RMSE, bias and counts; a figure without points is None."""
@@ -88,8 +91,27 @@ class ControlResiduals:
             found.insert(0, heights)
         elif bare:
             found.append(f"no map surface at {', '.join(bare)}: outside the map, or too few points there")
+        elsewhere = self._elsewhere()
+        if elsewhere is not None:
+            found.insert(0, elsewhere)
         frames = self._other_frame()
         return found if frames is None else [frames, *found]
+
+    def _elsewhere(self) -> str | None:
+        """Say how far outside the map control points lie, and whether exchanged columns bring them inside."""
+        if self.extent is None:
+            return None
+        places = self.points.surveyed[:, :2]
+        apart = _beyond(places, self.extent)
+        outside = apart > 0.0
+        if not outside.any():
+            return None
+        far = apart[outside]
+        span = f"{far.min():.0f} m" if len(far) == 1 else f"{far.min():.0f} to {far.max():.0f} m"
+        text = f"{len(far)} of {len(apart)} control points lie outside the map, by {span}"
+        if (_beyond(places[outside][:, ::-1], self.extent) == 0.0).all():
+            return f"{text}: with east and north exchanged they lie inside it; correct the columns"
+        return f"{text}: check their CRS (--crs)" if outside.all() else text
 
     def _other_heights(self) -> str | None:
         """Say that the map's heights and the surveyed ones are of two kinds, where they lie apart alike."""
@@ -151,7 +173,14 @@ def check_control(cloud: PointCloud, points: ControlPoints) -> ControlResiduals:
         if np.isnan(vertical[row]):
             vertical[row] = _surface_offset(around)
     horizontal = (points.picked - points.surveyed)[:, :2]
-    return ControlResiduals(points, horizontal, vertical, support, offset, cloud.crs)
+    world = cloud.world()[:, :2]
+    extent = np.array([world.min(axis=0), world.max(axis=0)]) if len(world) else None
+    return ControlResiduals(points, horizontal, vertical, support, offset, cloud.crs, extent)
+
+
+def _beyond(places: Floats, extent: Floats) -> Floats:
+    """Distance of places (N, 2) from a rectangle (2, 2), zero inside [m]."""
+    return np.linalg.norm(np.maximum(np.maximum(extent[0] - places, places - extent[1]), 0.0), axis=1)
 
 
 def _surface_offset(around: Floats) -> float:

@@ -67,7 +67,8 @@ def read_control(
     """Read ``name,east,north,height`` and what else is there.
 
     ``easting``, ``northing`` are known too; ``sigma_h``, ``sigma_v`` [m] and ``role`` are optional, and so
-    are ``map_east,map_north,map_height`` where somebody found the point in the map.
+    are ``map_east,map_north,map_height`` where somebody found the point in the map. Files that separate
+    cells by semicolons and write decimal commas, as some spreadsheets do, are read too.
 
     Parameters
     ----------
@@ -112,7 +113,10 @@ def read_control(
 def _rows(path: Path) -> list[dict[str, str]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            raw = list(csv.DictReader(stream))
+            first = stream.readline()
+            semicolons = first.count(";") > first.count(",")
+            stream.seek(0)
+            raw = list(csv.DictReader(stream, delimiter=";" if semicolons else ","))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
             f"{path}: cannot be read ({reason_of(error)}); give a CSV of control points"
@@ -127,6 +131,9 @@ def _rows(path: Path) -> list[dict[str, str]]:
     for column in ("name", *SURVEYED):
         if column not in rows[0]:
             raise InputError(f"{path}: column {column} is missing; expected name,{','.join(SURVEYED)}")
+    if semicolons:  # then commas are decimal
+        numbers = (*SURVEYED, *PICKED, *_SIGMAS)
+        rows = [{k: v.replace(",", ".") if k in numbers else v for k, v in row.items()} for row in rows]
     seen: set[str] = set()
     for line, row in enumerate(rows, 2):
         if row["name"].strip() in seen:

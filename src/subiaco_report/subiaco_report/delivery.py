@@ -11,17 +11,17 @@ from importlib.metadata import version
 from pathlib import Path
 
 import geopandas as gpd
-import pyogrio
 from pyproj import CRS
 
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.difference_rasters import cut_and_fill, write_difference_rasters
 from subiaco_change.outputs.exports import export_changes
-from subiaco_change.outputs.geopackage import write_layer
+from subiaco_change.outputs.geopackage import layers_of, write_layer
 from subiaco_change.outputs.parcels import OUTSIDE, read_lots
 from subiaco_change.outputs.reviews import review_counts
 from subiaco_change.outputs.table import write_csv
 from subiaco_geo.atomic import whole_directory
+from subiaco_geo.errors import InputError
 from subiaco_report.accuracy import accuracy_facts, read_check
 from subiaco_report.facts import findings, is_simulated
 from subiaco_report.iso_metadata import DeliveryFacts, iso_metadata
@@ -85,10 +85,14 @@ def deliver(directory: Path, output: Path, delivery: Delivery) -> list[Path]:
     Raises
     ------
     InputError
-        Not a change directory, polygons or a check that cannot be read, or a folder that exists.
+        Not a change directory, polygons or a check that cannot be read, or a folder that exists, or cells
+        without an area.
     """
     change = read_change_directory(directory)
+    if not delivery.cell > 0.0:
+        raise InputError(f"--cell {delivery.cell}: must be larger than 0; give the edge of a cell in metres")
     check = None if delivery.check is None else read_check(delivery.check)
+    layers_of(directory / "changes.gpkg")  # a missing one is refused before the work
     polygons = _polygons(change, delivery.polygons)
     with whole_directory(output) as target:
         _copy(directory, target)
@@ -140,7 +144,7 @@ def _polygons(change: ChangeDirectory, path: Path | None) -> gpd.GeoDataFrame | 
     if path is not None:
         return read_lots(path, change.run.get("crs"))
     package = change.path / "changes.gpkg"
-    if "parcels" not in pyogrio.list_layers(package)[:, 0]:
+    if "parcels" not in layers_of(package):
         return None
     lots = gpd.read_file(package, layer="parcels", engine="pyogrio")
     return lots.loc[lots["lot"] != OUTSIDE, ["lot", "geometry"]].reset_index(drop=True)

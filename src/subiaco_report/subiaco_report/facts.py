@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.outputs.rasters import Coverage
 from subiaco_change.outputs.reviews import is_rejected
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import CHANGED_LABELS, Change, Semantic
+from subiaco_geo.config import read_parameters
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import rotation_angle
 from subiaco_geo.simulated import SIMULATIONS
@@ -24,8 +27,10 @@ _MEANINGS = {
     Change.INCREASED: "in both epochs, larger or higher now",
     Change.DECREASED: "in both epochs, smaller or lower now",
     Change.UNCHANGED: "in both epochs, no difference beyond the level of detection",
-    Change.NOT_REPORTED: "movable things such as cars that were matched; left out on purpose",
-    Change.UNOBSERVED: "the other epoch could not see the place: nothing is claimed",
+    Change.NOT_REPORTED: "left out on purpose: movable things such as cars, ghost trails of moving objects,"
+    " and objects that are part of the ground",
+    Change.UNOBSERVED: "nothing is claimed: the other survey saw too little of the place, or what it saw does"
+    " not decide",
 }
 
 
@@ -110,10 +115,33 @@ def lod_facts(lod: LodCounts) -> dict[str, Any]:
     }
 
 
-def unseen_facts(table: pd.DataFrame, coverage: Coverage) -> dict[str, Any]:
-    """Return how much could not be compared: objects, and ground area [m2]."""
+def cell_level_cm(run: Mapping[str, Any]) -> float | None:
+    """Return the median LoD95 over the cells of 5 m that have one [cm], as ``run.json`` states it."""
+    return _scaled(run.get("level_of_detection", {}).get("median_where_known_m"), 100.0)
+
+
+def least_observed(directory: Path) -> float:
+    """Return ``decisions.min_observed`` of the run: the share below which an object is hardly observed."""
+    path = directory / "config.yaml"
+    found: Any = read_parameters(path) if path.is_file() else {}
+    for name in ("decisions", "min_observed"):
+        found = found.get(name) if isinstance(found, dict) else None
+    return DecisionConfig().min_observed if found is None else float(found)
+
+
+def unseen_facts(table: pd.DataFrame, coverage: Coverage, least: float) -> dict[str, Any]:
+    """Return of how much nothing is claimed: objects, and ground area [m2].
+
+    Of the objects that are Unobserved, the other survey observed less than the share ``least`` of the place
+    (``little_seen``), or what it observed does not decide (``undecided``).
+    """
+    unobserved = table.loc[table["label"] == Change.UNOBSERVED.label, "observed_fraction"]
+    little = int((unobserved < least).sum())
     return {
-        "objects": int((table["label"] == Change.UNOBSERVED.label).sum()),
+        "objects": len(unobserved),
+        "little_seen": little,
+        "undecided": len(unobserved) - little,
+        "least_percent": 100.0 * least,
         "both_m2": coverage.area(1),
         "only_before_m2": coverage.area(2),
         "only_after_m2": coverage.area(3),

@@ -15,6 +15,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
+from subiaco_change.outputs.geopackage import layers_of
 from subiaco_change.outputs.reviews import review_counts
 from subiaco_change.records import SEMANTIC_COLOURS
 from subiaco_geo.atomic import whole_file
@@ -26,9 +27,11 @@ from subiaco_report.city_map import city_map
 from subiaco_report.cloud_windows import Gathered, gather
 from subiaco_report.colours import height_range
 from subiaco_report.facts import (
+    cell_level_cm,
     changed_rows,
     findings,
     is_simulated,
+    least_observed,
     legend,
     lod_facts,
     number,
@@ -128,6 +131,7 @@ def build_report(directory: Path) -> Path:
     if "object_uid" not in change.table.columns:
         table = directory / "changes.csv"
         raise InputError(f"{table}: column object_uid is missing; run 'subiaco change' again")
+    layers_of(directory / "changes.gpkg")  # a missing one is refused before the work
     changed = changed_rows(change.table)
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)
@@ -269,7 +273,8 @@ def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
         "run": change.run,
         "registration": registration_facts(change.registration),
         "lod": lod_facts(found.lod),
-        "unseen": unseen_facts(change.table, found.coverage),
+        "cells_cm": cell_level_cm(change.run),
+        "unseen": unseen_facts(change.table, found.coverage, least_observed(change.path)),
         "legend": legend(),
         "summary": summary(change.table),
         "columns": TABLE_COLUMNS,

@@ -12,10 +12,9 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-import pyogrio
 from pyproj import CRS
 
-from subiaco_change.outputs.geopackage import COVERAGE_COLOURS, RGB, form_elements, renderer
+from subiaco_change.outputs.geopackage import COVERAGE_COLOURS, RGB, form_elements, layers_of, renderer
 from subiaco_change.outputs.rasters import COVERAGE
 from subiaco_change.outputs.reviews import ACCEPTED
 from subiaco_change.records import CHANGE_COLOURS
@@ -104,7 +103,7 @@ def write_project(directory: Path, crs: str | None, bounds: Sequence[float]) -> 
 
 def _layers(directory: Path) -> list[_Layer]:
     """Layers of the files that are there, from top to bottom."""
-    named = set(pyogrio.list_layers(directory / "changes.gpkg")[:, 0])
+    named = layers_of(directory / "changes.gpkg")
     vectors = [
         _vector_layer(name, title, group, shown) for name, title, group, shown in _VECTOR if name in named
     ]

@@ -11,8 +11,8 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
-import pyogrio
 
+from subiaco_change.outputs.geopackage import layers_of
 from subiaco_change.outputs.parcels import OUTSIDE
 from subiaco_change.outputs.reviews import review_states
 from subiaco_geo.atomic import whole_directory
@@ -126,7 +126,7 @@ def places_of(rows: gpd.GeoDataFrame, blocks: Sequence[Block], package: Path) ->
 
 def _lots(package: Path) -> gpd.GeoDataFrame | None:
     """Return the lots of a change directory, with their attributes; None without lots."""
-    if "parcels" not in pyogrio.list_layers(package)[:, 0]:
+    if "parcels" not in layers_of(package):
         return None
     lots = gpd.read_file(package, layer="parcels", engine="pyogrio")
     return lots[lots["lot"] != OUTSIDE]

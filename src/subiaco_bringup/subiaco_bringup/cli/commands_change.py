@@ -25,7 +25,7 @@ from subiaco_bringup.cli.change_options import (
     Workers,
     change_request,
 )
-from subiaco_bringup.cli.finding_box import say_findings
+from subiaco_bringup.cli.finding_box import remembered_log, say_findings
 from subiaco_bringup.cli.options import (
     AsJson,
     ConfigFiles,
@@ -96,18 +96,18 @@ def change(
         _say_estimate(request, dry_run, quiet)
         return
     if len(epochs) > 2:
-        with Progress(quiet=quiet) as progress:
+        with remembered_log() as said, Progress(quiet=quiet) as progress:
             history = run_epochs(epochs, request, progress, write_pages)
         say(f"history: {output / 'history.csv'} ({len(history)} objects)", quiet=quiet)
         for found in sorted(output.glob("*_to_*/run.json")):
-            say_findings(found.parent)
+            say_findings(found.parent, said, quiet=quiet)
         return
-    with Progress(quiet=quiet) as progress:
+    with remembered_log() as said, Progress(quiet=quiet) as progress:
         records = run_change(request, progress, write_pages=write_pages)
     counts = Counter(record.change.label for record in records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
-    say_findings(output)
+    say_findings(output, said, quiet=quiet)
 
 
 def _say_estimate(request: ChangeRequest, tiles: int, quiet: bool) -> None:

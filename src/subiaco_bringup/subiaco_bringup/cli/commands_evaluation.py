@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from subiaco_bringup.cli.change_options import After, Before, RegistrationName, TransformFile, known_transform
-from subiaco_bringup.cli.finding_box import say_findings
+from subiaco_bringup.cli.finding_box import remembered_log, say_findings
 from subiaco_bringup.cli.options import (
     ConfigFiles,
     Output,
@@ -92,12 +92,12 @@ def baseline(
     request = ComparisonRequest.of(
         before=before, after=after, output=output, transform=given, overwrite=overwrite
     )
-    with Progress(quiet=quiet) as progress:
+    with remembered_log() as said, Progress(quiet=quiet) as progress:
         result = run_baseline(request, method.value, model, progress, write_pages)
     counts = Counter(record.change.label for record in result.records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"{method.value}: {output} ({listed or 'no change'}); open {output / 'report.html'}", quiet=quiet)
-    say_findings(output)
+    say_findings(output, said, quiet=quiet)
 
 
 def train(

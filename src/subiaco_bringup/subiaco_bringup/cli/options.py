@@ -23,7 +23,7 @@ Settings = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="One setting by its dotted name; repeatable, wins over files. "
-        "'subiaco config map' and 'subiaco config change' list the names.",
+        "'subiaco config map' and 'subiaco config change' list the usual names, with --all every name.",
     ),
 ]
 Output = Annotated[

@@ -23,7 +23,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.clouds import write_labelled
-from subiaco_change.outputs.geopackage import embed_styles, write_geopackage, write_layer
+from subiaco_change.outputs.geopackage import embed_styles, layers_of, write_geopackage, write_layer
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons, rebuild_parcels
 from subiaco_change.outputs.rasters import (
@@ -301,6 +301,7 @@ def take_up_reviews(directory: Path, files: list[Path]) -> tuple[gpd.GeoDataFram
         Not a change directory, or not a review file.
     """
     read_change_directory(directory)  # refuses what is none
+    layers_of(directory / "changes.gpkg")
     table = read_reviewed(directory)
     assert table is not None
     unknown: list[str] = []

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import logging
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyogrio
 
 from subiaco_change.outputs.clouds import change_palette, labelled_path, with_asprs_codes
 from subiaco_change.outputs.drawing_exchange import write_dxf
 from subiaco_change.outputs.foxglove import write_foxglove
-from subiaco_change.outputs.geopackage import embed_styles, write_geopackage, write_layer
+from subiaco_change.outputs.geopackage import embed_styles, layers_of, write_geopackage, write_layer
 from subiaco_change.outputs.parcels import rebuild_parcels
 from subiaco_change.outputs.rasters import read_coverage
 from subiaco_change.outputs.reviews import read_reviewed, selected_by_review
@@ -26,6 +27,9 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.exports import CLOUD_ENDINGS, copy_cloud
 from subiaco_geo.output_heights import above_geoid, geoid_shift, write_heights_note
 
+_LOG = logging.getLogger(__name__)
+#: Longest text of a shapefile [byte].
+_LONGEST_TEXT = 254
 #: What GeoJSON (RFC 7946) and KML ask for.
 _LONGITUDE_LATITUDE = "EPSG:4326"
 TABLE_KINDS = ("gpkg", "parquet", "geojson", "csv", "shp", "kml", "dxf")
@@ -155,7 +159,7 @@ def _write_table(target: Path, table: gpd.GeoDataFrame, kind: str) -> None:
         write_csv(target / "changes.csv", table)
     elif kind == "shp":
         short = table.rename(columns=SHORT_NAMES)
-        short.to_file(target / "changes.shp", engine="pyogrio", encoding="UTF-8")
+        _write_shapefile(target / "changes.shp", short)
         pairs = {"column": table.columns[:-1], "shapefile": short.columns[:-1]}
         pd.DataFrame(pairs).to_csv(target / "columns.csv", index=False)
     elif kind == "dxf":
@@ -172,10 +176,27 @@ def _write_table(target: Path, table: gpd.GeoDataFrame, kind: str) -> None:
             named.to_file(target / "changes.kml", driver="KML", engine="pyogrio")
 
 
+def _write_shapefile(path: Path, table: gpd.GeoDataFrame) -> None:
+    """Write a shapefile, and say once how many texts it cuts."""
+    texts = pd.DataFrame(table.drop(columns=table.geometry.name)).select_dtypes(["object", "string"])
+    cut = sum(
+        isinstance(text, str) and len(text.encode()) > _LONGEST_TEXT for text in texts.to_numpy().ravel()
+    )
+    with warnings.catch_warnings():  # one warning for each cut text
+        warnings.filterwarnings("ignore", message=".*truncated", category=RuntimeWarning)
+        table.to_file(path, engine="pyogrio", encoding="UTF-8")
+    if cut:
+        _LOG.warning(
+            "%s: %d texts, such as reasons, were cut, because Shapefile allows %d characters",
+            path.name, cut, _LONGEST_TEXT,
+        )  # fmt: skip
+
+
 def _copy_layers(directory: Path, package: Path, table: gpd.GeoDataFrame) -> None:
     """Copy the layers beside the table; lots are counted from the rows that the export has."""
     source = directory / "changes.gpkg"
-    held = [name for name in ("coverage", "parcels") if name in pyogrio.list_layers(source)[:, 0]]
+    layers = layers_of(source)
+    held = [name for name in ("coverage", "parcels") if name in layers]
     for name in held:
         write_layer(package, name, gpd.read_file(source, layer=name, engine="pyogrio"))
     if "parcels" in held:

@@ -14,11 +14,13 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import geopandas as gpd
+import pyogrio
 
 from subiaco_change.outputs.reviews import ACCEPTED, REJECTED
 from subiaco_change.outputs.table import ALL_COLUMNS, REVIEW_COLUMNS
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import CHANGED, Change, Semantic
+from subiaco_geo.errors import InputError
 
 _ROWS = ("objects", "ground")  # layers whose features are rows of the change table
 #: What the form offers for the column ``review``: words for people, and the value stored.
@@ -234,6 +236,23 @@ def write_geopackage(path: Path, table: gpd.GeoDataFrame) -> None:
     for layer, rows in (("objects", table[~is_ground]), ("ground", table[is_ground])):
         write_layer(path, layer, rows)
     embed_styles(path, ("objects", "ground"))
+
+
+def layers_of(package: Path) -> set[str]:
+    """Return the names of the layers of a GeoPackage.
+
+    Raises
+    ------
+    InputError
+        The file is missing or damaged.
+    """
+    if not package.is_file():
+        raise InputError(f"{package}: the file is missing; run 'subiaco change' again")
+    try:
+        return {str(name) for name in pyogrio.list_layers(package)[:, 0]}
+    except (pyogrio.errors.DataSourceError, OSError) as error:
+        said = " ".join(str(error).split())[-200:]
+        raise InputError(f"{package}: cannot be read ({said}); repair it in QGIS or move it away") from error
 
 
 def write_layer(package: Path, name: str, frame: gpd.GeoDataFrame) -> None:

@@ -12,7 +12,7 @@ from pyproj.exceptions import ProjError
 from rasterio.features import rasterize, shapes
 from rasterio.transform import from_origin
 from shapely.errors import ShapelyError
-from shapely.geometry import MultiPolygon, shape
+from shapely.geometry import MultiPolygon, box, shape
 
 from subiaco_change.outputs.rasters import COVERAGE, Coverage
 from subiaco_change.outputs.reviews import is_rejected
@@ -88,6 +88,24 @@ def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
     if not np.isfinite(outlines.bounds.to_numpy()).all():
         raise InputError(f"{path}: lots lie outside the area of {crs}; check the CRS of the file")
     return gpd.GeoDataFrame(kept, geometry=outlines.values, crs=crs)
+
+
+def refuse_lots_elsewhere(path: Path, lots: gpd.GeoDataFrame, low: Floats, high: Floats) -> None:
+    """Refuse lots of which none touches the extent of the later map, (2,) or more each [m], in their CRS.
+
+    Raises
+    ------
+    InputError
+        Names both extents.
+    """
+    west, south, east, north = lots.total_bounds.tolist()
+    if lots.intersects(box(low[0], low[1], high[0], high[1])).any():
+        return
+    raise InputError(
+        f"{path}: no lot touches the later map: the lots span E {west:.0f} to {east:.0f}, N {south:.0f} to"
+        f" {north:.0f}, the map E {low[0]:.0f} to {high[0]:.0f}, N {low[1]:.0f} to {high[1]:.0f} in"
+        f" {lots.crs}; check the CRS of the file and its zone"
+    )
 
 
 def _attribute_name(column: str) -> str:

@@ -193,8 +193,11 @@ def agree(before: str | None, after: str | None) -> tuple[PairInfo, Transform | 
     if before is None or after is None:
         found: tuple[Finding, ...] = ()
         if before != after:
-            which = "before" if before is None else "after"
-            sentence = f"The survey {which} has no CRS: the epochs are registered without priors."
+            which, other = ("BEFORE", "AFTER") if before is None else ("AFTER", "BEFORE")
+            sentence = (
+                f"The survey {which} states no CRS. Its coordinates need not agree with those of {other}:"
+                " the registration finds the position from the points alone."
+            )
             found = (Finding("crs_missing", "warning", sentence, "Write the CRS into the file."),)
         return PairInfo(None, findings=found), None
     if before == after:

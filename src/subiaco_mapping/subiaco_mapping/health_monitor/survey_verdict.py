@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, POINTS, TF_STATIC
+from subiaco_mapping.health_monitor.flags import MEANINGS
 from subiaco_mapping.health_monitor.monitor import Monitor
 
 USABLE, CARE, USELESS = "usable", "usable with care", "not usable"
@@ -15,20 +16,23 @@ USABLE, CARE, USELESS = "usable", "usable with care", "not usable"
 _SPOILT = 0.2
 _LOST = 0.1
 _REMEDIES = {
-    "lidar_silent": "drive those streets again",
-    "packet_loss": "record with a larger socket buffer or fewer points",
-    "imu_silent": "there the scans are deskewed by constant velocity",
-    "imu_bad": "correct the driver, or map without it",
-    "gnss_silent": "the odometry bridges it",
-    "without_rtk_fixed": "the odometry bridges it",
-    "poor_dop": "trust those heights less",
-    "clock_step": "map the parts before and after alone",
-    "clock_offset": "set decode.time_base or time_offset_ns, or set the host's clock",
-    "clock_disagreement": "set decode.time_base or the time_offset_ns of the sensor",
-    "clock_drift": "check PPS",
-    "pps_lost": "check the cable of the pulse",
-    "not_utc": "give the sensor PPS and NMEA, or set decode.time_offset_ns",
+    "lidar_silent": "Drive those streets again",
+    "lidar_slow": "Check the network and the load of the computer",
+    "packet_loss": "Record with a larger socket buffer or fewer points",
+    "imu_silent": "Scans of that time are deskewed by constant velocity",
+    "imu_bad": "Correct the driver, or map without the IMU",
+    "gnss_silent": "The odometry alone gives the position there",
+    "without_rtk_fixed": "The odometry alone gives the position there",
+    "poor_dop": "Positions and heights of that time are less accurate",
+    "clock_step": "Map the parts before and after the step separately",
+    "clock_offset": "Set decode.time_base or time_offset_ns, or set the host's clock",
+    "clock_disagreement": "Set decode.time_base or the time_offset_ns of the sensor",
+    "clock_drift": "Check PPS",
+    "pps_lost": "Check the cable of the pulse",
+    "not_utc": "Give the sensor PPS and NMEA, or set decode.time_offset_ns",
 }
+#: What the detail of a flag states, where the detail alone does not say.
+_DETAILS = {"without_rtk_fixed": "state of the solution: ", "lidar_slow": "rate: ", "imu_slow": "rate: "}
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,9 @@ def _weighed(
     times = "once" if len(stretches) == 1 else f"{len(stretches)} times"
     long = f", {sum(spans):.1f} s in all" if sum(spans) > 0 else ""
     detail = str(stretches[0].get("detail", ""))
-    remedy = _REMEDIES.get(name, "look at it")
-    text = f"{name}{whose} {times}{long}" + (f": {detail}" if detail else "") + f"; {remedy}"
+    said = f" ({_DETAILS.get(name, '')}{detail})" if detail else ""
+    meaning = MEANINGS[name].removeprefix("flag: ") if name in MEANINGS else name
+    remedy = f" {_REMEDIES[name]}." if name in _REMEDIES else ""
+    text = f"{meaning[0].upper()}{meaning[1:]}{whose}: {times}{long}{said}.{remedy}"
     clocks = name in ("clock_disagreement", "not_utc") and FIX in topics
     return text, share > _SPOILT and (name in ("lidar_silent", "packet_loss") or clocks)
