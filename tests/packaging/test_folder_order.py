@@ -1,4 +1,4 @@
-"""Data flows one way: a folder or module of a package imports only what stands before it in the package."""
+"""Data flows one way: a folder or module of a package imports only those before it in the package."""
 
 from __future__ import annotations
 
