@@ -295,7 +295,8 @@ def test_a_signal_ends_a_run_with_all_its_workers_and_shows_no_traceback(
     try:
         wait_until(running)
         (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)
-        assert run.wait(60) == code
+        # a process that SIGINT itself ended has the code 130 in shells
+        assert run.wait(60) in ({code} | ({-signal.SIGINT} if code == 130 else set()))
         wait_until(lambda: not any(child.is_running() and child.status() != "zombie" for child in seen), 60)
         lines = (tmp_path / "said").read_text().splitlines()
         assert not [line for line in lines if "Traceback" in line or "Error" in line]

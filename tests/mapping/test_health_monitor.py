@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 import yaml
 from streams import START_NS, Drive, watched
 
+from subiaco_geo.errors import InputError
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.health_monitor.monitor import Monitor
+from subiaco_mapping.health_monitor.routes import read_route
 
 NOTICED = 2.0  # seconds
 
@@ -231,3 +234,12 @@ def test_where_a_player_decides_when_messages_arrive_no_clock_is_accused() -> No
     judged, _ = watched(late)
     assert stretches(judged, "clock_step")
     assert played.flags.flagged(played.now_ns) == {}
+
+
+@pytest.mark.parametrize("text", ["", "street,number\nHay,1\n", "lat,lon\nhere,there\n"])
+def test_a_table_that_holds_no_route_is_named_with_the_columns_that_it_needs(
+    tmp_path: Path, text: str
+) -> None:
+    (tmp_path / "route.csv").write_text(text)
+    with pytest.raises(InputError, match=r"route.csv: holds no route; give .* columns lat,lon in degrees"):
+        read_route(tmp_path / "route.csv")
