@@ -187,6 +187,14 @@ def test_it_says_in_words_what_the_registration_and_the_detection_limit_mean(pag
     assert "EPSG:7850" in text
 
 
+def test_each_level_of_detection_says_of_what_it_is_the_median(page, change_directory):
+    text = " ".join(" ".join(page.text).split())
+    cells = json.loads((change_directory / "run.json").read_text())["level_of_detection"]
+    assert "The median of all points is" in text
+    assert f"{100.0 * cells['median_where_known_m']:.1f} cm; accuracy.html" in text
+    assert "median level of detection of all points" in (change_directory / "summary.html").read_text()
+
+
 def test_an_uncalibrated_confidence_is_called_so(html):
     assert "Confidence is not calibrated" in html
     assert "It is not calibrated yet" in html
