@@ -14,13 +14,20 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
-from subiaco_geo.voxel_traversal import accumulate_visibility
+from subiaco_geo.voxel_traversal import VisibilityAccumulator
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, 10.0])
 # where a box stood in the other epoch: on the open street, and in the yard behind the wall
 OPEN = np.array([[10.0, 5.0, 0.7], [10.5, 5.0, 0.8], [9.6, 5.3, 1.2]]) + ORIGIN
 HIDDEN = np.array([[10.0, 12.0, 0.7], [11.0, 13.0, 0.3], [9.0, 12.5, 1.2]]) + ORIGIN
 CONFIG = EvidenceConfig()
+
+
+def counted(starts, ends):
+    """Count beams (N, 3) -> (N, 3) [m, world] in voxels of 0.5 m."""
+    accumulator = VisibilityAccumulator(ORIGIN - 50.0, 0.5)
+    accumulator.add(starts, ends)
+    return accumulator.grid()
 
 
 def seen_points():
@@ -44,7 +51,7 @@ def test_a_removed_box_that_beams_passed_is_observed_gone_and_one_behind_a_wall_
     cloud = seen_points()
     world = cloud.world()
     sensor = drive().positions[np.abs(world[:, None, 0] - drive().positions[None, :, 0]).argmin(axis=1)]
-    grid = accumulate_visibility(sensor, world, ORIGIN - 50.0, 0.5)
+    grid = counted(sensor, world)
     observer = make_observer(SurveyMap(cloud, visibility=grid), CONFIG)
     assert observer.kind == "observed"
     assert observer.observed(OPEN).all()
@@ -92,7 +99,7 @@ def test_evidence_that_the_map_lacks_is_refused():
 def test_a_visibility_layer_in_another_frame_is_asked_there():
     cloud = seen_points()
     shift = np.array([1.5, -0.5, 0.0])
-    grid = accumulate_visibility(np.tile(OPEN[:1] + np.array([0, -4, 1]), (3, 1)), OPEN, ORIGIN - 50.0, 0.5)
+    grid = counted(np.tile(OPEN[:1] + np.array([0, -4, 1]), (3, 1)), OPEN)
     observer = make_observer(SurveyMap(cloud, visibility=grid), CONFIG, to_own=lambda world: world - shift)
     assert observer.observed(OPEN + shift).all()
     assert observer.observed(np.zeros((0, 3))).shape == (0,)

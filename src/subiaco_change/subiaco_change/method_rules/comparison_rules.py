@@ -529,6 +529,12 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("decisions.building.height_volume",),
     ),
     Rule(
+        "surface_of_both_epochs",
+        _HERE,
+        "A surface of the other epoch that an epoch has too, sampled elsewhere, counts as its own.",
+        ("method_numbers.space_carving.horizontal_gap", "method_numbers.space_carving.vertical_gap"),
+    ),
+    Rule(
         "surfaces_not_refuted",
         _HERE,
         "A surface that one epoch has above those of the other may have stood in both, unless most of its"

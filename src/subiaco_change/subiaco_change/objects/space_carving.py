@@ -44,6 +44,8 @@ Empty = Callable[[Floats], Mask]
 Bare = Callable[[Floats], Mask]
 Cells = NDArray[np.bool_]
 
+_BESIDE = NUMBERS.space_carving.horizontal_gap
+_ABOVE = NUMBERS.space_carving.vertical_gap
 _TOP = NUMBERS.space_carving.top_tolerance
 _FEW = NUMBERS.space_carving.fewest_columns
 _LOOKED = NUMBERS.space_carving.observed_share
@@ -215,9 +217,12 @@ def _middles(corner: Floats, turn: Floats, shape: tuple[int, int, int], cell: fl
 
 
 def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
-    """Tell solid, free and unknown cells of an epoch."""
+    """Tell solid, free and unknown cells of an epoch.
+
+    A surface of the other epoch that this one has too, though it sampled it elsewhere, counts as its own.
+    """
     nx, ny, nz = frame.shape
-    own = epoch.voxels
+    own = epoch.voxels.add(_shared(other, epoch))
     top = _tops(own, frame)
     not_refuted = _not_refuted(other, top, frame)
     below = np.arange(nz) <= frame.level(top)[:, :, None]
@@ -245,6 +250,25 @@ def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
     for own, reach in kinds:
         filled |= ndimage.binary_dilation(_surface(own, frame) > 0, reach, mask=below)
     return filled
+
+
+def _none_shared(other: Voxels, *_: object) -> Voxels:
+    """Return no voxels."""
+    return other.select(np.zeros(len(other), dtype=bool))
+
+
+@switchable("surface_of_both_epochs", _none_shared)
+def _shared(other: Voxels, epoch: CarvingEpoch) -> Voxels:
+    """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere."""
+    own = epoch.voxels
+    if len(other) == 0 or len(own) == 0:
+        return other.select(np.zeros(len(other), dtype=bool))
+    scale = 1.0 / np.array([_BESIDE, _BESIDE, _ABOVE])
+    distance = cKDTree(own.xyz * scale).query(other.xyz * scale, distance_upper_bound=1.0)[0]
+    shared = other.occupied_in_other & np.isfinite(distance)
+    if epoch.empty is not None:
+        shared[shared] = ~epoch.empty(other.xyz[shared])
+    return other.select(shared)
 
 
 def _all_refuted(_: Voxels, top: Floats, *__: object) -> Floats:
