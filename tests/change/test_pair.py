@@ -65,7 +65,7 @@ def test_a_ballpark_operation_is_refused():
 
 def test_one_crs_without_the_other_is_said():
     _, _, info = check_pair(survey(), survey(crs=None, origin=np.zeros(3)))
-    assert "after has no CRS" in info.findings[0].text
+    assert "The survey AFTER states no CRS" in info.findings[0].text
 
 
 def test_heights_above_the_geoid_against_heights_above_the_ellipsoid_are_refused_with_both_named():

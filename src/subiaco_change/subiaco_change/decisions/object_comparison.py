@@ -17,6 +17,7 @@ from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, 
 from subiaco_change.decisions.split_merge import (
     assign_fragments,
     join_building_extensions,
+    join_hidden_walls,
     part_hardly_overlapping,
     split_hedge_segments,
     split_multi_body_matches,
@@ -84,6 +85,7 @@ def compare_objects(
     changes = split_multi_body_matches(part_hardly_overlapping(changes, rules), rules)
     changes = split_row_houses(join_building_extensions(changes, rules), rules)
     changes = split_hedge_segments(changes, rules)
+    changes = join_hidden_walls(changes, rules)
     return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
 
 

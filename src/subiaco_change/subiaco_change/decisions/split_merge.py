@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import shapely
 
 from subiaco_change.association.config import AssociationConfig
 from subiaco_change.association.costs import overlap_counts
@@ -34,6 +35,9 @@ from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
+_HARDLY = NUMBERS.split_merge.least_observed
+_WITHIN = NUMBERS.split_merge.inside_share
+_WALL = NUMBERS.split_merge.wall_reach
 
 
 @switchable("building_extensions", first_argument)
@@ -155,6 +159,56 @@ def _decide_together(pieces: Sequence[Piece], rules: ObjectRules) -> ObjectChang
     """Decide pieces of both epochs as one building."""
     before, after = ([t for piece in pieces for t in piece[epoch]] for epoch in (0, 1))
     return decide_object(before, after, Semantic.BUILDING, rules)
+
+
+@switchable("hidden_walls", first_argument)
+def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Join a wall that the other epoch hardly observed to the changed building it belongs to.
+
+    A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
+    assumed and not observed, what was built may hide any wall, also of a house without a change of its own.
+    """
+    hosts = {
+        i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
+        for i, c in enumerate(changes)
+        if c.semantic is Semantic.BUILDING and (_is_reshaped(c) or _is_assumed(c, rules))
+    }
+    joined: dict[int, list[int]] = {}
+    for number, change in enumerate(changes):
+        alone = (*change.before, *change.after)
+        low_part = change.semantic is Semantic.OTHER and all(t.is_part for t in alone)
+        if (
+            not (change.semantic is Semantic.BUILDING or low_part)
+            or (change.before and change.after)
+            or not _is_hardly_observed(change, rules)
+        ):
+            continue
+        xyz = join_voxels(alone).xyz
+        shares = {i: shapely.contains_xy(o, xyz[:, 0], xyz[:, 1]).mean() for i, o in hosts.items()}
+        best = max(shares, key=lambda i: shares[i], default=number)
+        if shares.get(best, 0.0) >= _WITHIN:
+            joined.setdefault(best, []).append(number)
+    gone = {number for numbers in joined.values() for number in numbers}
+    return [
+        _with_parts(change, [changes[k] for k in joined.get(i, [])])
+        for i, change in enumerate(changes)
+        if i not in gone
+    ]
+
+
+def _is_reshaped(change: ObjectChange) -> bool:
+    return change.decision.change in (Change.INCREASED, Change.DECREASED)
+
+
+def _is_assumed(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether both epochs have an object, and nothing tells what they saw of the space around."""
+    return bool(change.before and change.after) and None in rules.ground.empty
+
+
+def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether the epoch that lacks an object hardly saw its place, or nothing tells what it saw."""
+    other = 1 if change.before else 0
+    return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
 @switchable("hardly_overlapping", first_argument)

@@ -142,6 +142,19 @@ class SplitMergeNumbers(StrictModel):
         0.75,
         description="Fraction of the columns of a hedge from which the hedge changed as a whole",
     )
+    wall_reach: float = Field(
+        0.5,
+        description="Distance outside the outline of a building within which its walls lie [m]",
+    )
+    inside_share: float = Field(
+        0.5,
+        description="Fraction of one side of a building within the outline of the rest from which both "
+        "are one building",
+    )
+    least_observed: float = Field(
+        0.5,
+        description="Observed fraction below which a part of a building gets no row of its own",
+    )
 
 
 class TreesOverShrubsNumbers(StrictModel):

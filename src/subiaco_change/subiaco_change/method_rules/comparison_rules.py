@@ -493,6 +493,16 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         "building if a change is claimed with it: the house hides the rear of a wing.",
     ),
     Rule(
+        "hidden_walls",
+        _HERE,
+        "A wall within the outline of a changed building that the other epoch hardly saw joins its row.",
+        (
+            "method_numbers.split_merge.wall_reach",
+            "method_numbers.split_merge.inside_share",
+            "method_numbers.split_merge.least_observed",
+        ),
+    ),
+    Rule(
         "fragments_of_changed_objects",
         _HERE,
         "A fragment of another class that lies in the place of a changed object carries its label.",
