@@ -12,10 +12,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import FrameType
 from typing import Any
 
 from subiaco_bringup.graph import GraphSpec, NodeSpec, process_command
+from subiaco_bringup.signals import sigterm_interrupts
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
 from subiaco_ros.supervision import CHANNEL, NodeProgress, ReportListener
 
@@ -171,24 +171,6 @@ def _interrupt_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-
-@contextmanager
-def _sigterm_interrupts() -> Iterator[None]:
-    """Let SIGTERM end a job as Ctrl-C does, so that no node is left behind."""
-    main = threading.current_thread() is threading.main_thread()
-    if not main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:  # the command has done so
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 @dataclass(frozen=True)
 class Death:
     """A node that ended unasked, and what became of it."""
@@ -247,7 +229,7 @@ class Supervisor:
         KeyboardInterrupt
             Interrupted from outside, or a node was.
         """
-        with _sigterm_interrupts():
+        with sigterm_interrupts():
             try:
                 for spec in self._graph.nodes:
                     self._start(spec)

@@ -41,6 +41,7 @@ from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
 from subiaco_change.request import ChangeRequest, ComparisonRequest
 from subiaco_change.tiling.run import STAGES, ChangeRun
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
+from subiaco_geo.clouds import extent_of
 from subiaco_geo.codes import CHANGED
 from subiaco_geo.config import StrictModel
 from subiaco_geo.disk import ground_of, require_room
@@ -52,7 +53,7 @@ from subiaco_geo.maps import load_epoch
 from subiaco_geo.simulated import SIMULATIONS, distinct
 from subiaco_geo.sources import Epoch, open_epoch
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_geo.work.executors import make_executor
+from subiaco_geo.work.executors import make_executor, running
 from subiaco_geo.work.object_store import ObjectStore
 from subiaco_geo.work.store import DiskStore
 from subiaco_geo.work.task_runner import TaskRunner, stages_from
@@ -84,20 +85,21 @@ def task_runner(
     with locked(kept):
         if request.stages is None and any(kept.glob("*/*.npz")):
             _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
-        executor = make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.run",))
-        try:
-            yield TaskRunner(store, executor, progress, redo, on_tile)
-        except (InputError, RegistrationError):
-            executor.close()  # what runs beside the task that failed still writes
-            _forget(request, kept)  # the same input would fail again
-            raise
-        except KeyboardInterrupt:
-            executor.stop()
-            where = request.stages or kept
-            _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", where)
-            raise
-        finally:
-            executor.close()
+        with running(
+            make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.run",))
+        ) as executor:
+            try:
+                yield TaskRunner(store, executor, progress, redo, on_tile)
+            except (InputError, RegistrationError):
+                executor.close()  # what runs beside the task that failed still writes
+                _forget(request, kept)  # the same input would fail again
+                raise
+            except KeyboardInterrupt:
+                where = request.stages or kept
+                _LOG.warning(
+                    "stopped; what is finished is in %s, and the same command goes on from there", where
+                )
+                raise
         _forget(request, kept)
 
 
@@ -179,6 +181,8 @@ def run_job(
     lots = _start(request)
     before = load_epoch(request.before, request.trajectory_before)
     after = load_epoch(request.after, request.trajectory_after)
+    low, high = extent_of(after.cloud.xyz)
+    _check_lots(request, lots, (low + after.cloud.origin, high + after.cloud.origin))
     checks, poses = InputCheckConfig(), UncertaintyConfig().unstated_pose
     surveys = facts_of(before), facts_of(after)
     found = _announced(check_surveys((request.before, request.after), surveys, checks))
@@ -193,8 +197,14 @@ def run_job(
     return result
 
 
-def _begin(request: ChangeRequest, begun: Callable[[ChangeRun], None] | None, run: ChangeRun) -> None:
+def _begin(
+    request: ChangeRequest,
+    lots: gpd.GeoDataFrame | None,
+    begun: Callable[[ChangeRun], None] | None,
+    run: ChangeRun,
+) -> None:
     """Look at a run whose epochs are cut before its stages begin."""
+    _check_lots(request, lots, run.extents[1])
     points = run.kept_points
     if begun is not None:
         begun(run)
@@ -250,12 +260,15 @@ def _start(request: ComparisonRequest) -> gpd.GeoDataFrame | None:
     read_reviewed(request.output)  # a table that cannot be read back is refused before the work, not after it
     if request.parcels is None:
         return None
-    after = open_epoch(request.after)
-    lots = read_lots(request.parcels, after.crs)
-    ends = [(w.min(axis=0), w.max(axis=0)) for w in (part.world() for part in after.clouds(()) if len(part))]
-    low, high = np.min([end[0] for end in ends], axis=0), np.max([end[1] for end in ends], axis=0)
-    refuse_lots_elsewhere(request.parcels, lots, low, high)
-    return lots
+    return read_lots(request.parcels, open_epoch(request.after).crs)
+
+
+def _check_lots(
+    request: ComparisonRequest, lots: gpd.GeoDataFrame | None, extent: tuple[Floats, Floats]
+) -> None:
+    """Refuse lots that lie apart from the later map, whose lowest and highest coordinates are known."""
+    if request.parcels is not None and lots is not None:
+        refuse_lots_elsewhere(request.parcels, lots, *extent)
 
 
 def _inputs(
@@ -346,7 +359,7 @@ def run_change_and(
     found = _announced(check_surveys((request.before, request.after), surveys, config.checks))
     found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
     with task_runner(request, progress, on_tile) as runner:
-        start = partial(_begin, request, begun)
+        start = partial(_begin, request, lots, begun)
         result = detect_in_tiles(epochs, config, runner, transform=transform, given=given, begun=start)
         if labelled is not None:
             found += _announced(given_class_findings(labelled, (request.before, request.after)))

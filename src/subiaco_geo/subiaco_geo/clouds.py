@@ -104,6 +104,11 @@ def extent_of(xyz: NDArray[Number]) -> tuple[NDArray[Number], NDArray[Number]]:
     return low, np.array([xyz[:, k].max() for k in columns], dtype=xyz.dtype)
 
 
+def distance_to_box(xyz: Floats, low: Floats, high: Floats) -> Floats:
+    """Distance (N,) of points (N, D) from a box from ``low`` (D,) to ``high`` (D,), zero inside [m]."""
+    return np.linalg.norm(np.maximum(np.maximum(low - xyz, xyz - high), 0.0), axis=1)
+
+
 def within_box(xyz: NDArray[Any], low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.bool_]:
     """Tell which points (N, D) lie in a box from ``low`` (D,) to ``high`` (D,), its faces included."""
     inside = (xyz[:, 0] >= low[0]) & (xyz[:, 0] <= high[0])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, distance_to_box, extent_of
 from subiaco_geo.datum_shifts import likely_shift
 from subiaco_geo.frames import Floats
 from subiaco_mapping.control_points import PICKED, ControlPoints
@@ -102,14 +102,14 @@ class ControlResiduals:
         if self.extent is None:
             return None
         places = self.points.surveyed[:, :2]
-        apart = _beyond(places, self.extent)
+        apart = distance_to_box(places, *self.extent)
         outside = apart > 0.0
         if not outside.any():
             return None
         far = apart[outside]
         span = f"{far.min():.0f} m" if len(far) == 1 else f"{far.min():.0f} to {far.max():.0f} m"
         text = f"{len(far)} of {len(apart)} control points lie outside the map, by {span}"
-        if (_beyond(places[outside][:, ::-1], self.extent) == 0.0).all():
+        if (distance_to_box(places[outside][:, ::-1], *self.extent) == 0.0).all():
             return f"{text}: with east and north exchanged they lie inside it; correct the columns"
         return f"{text}: check their CRS (--crs)" if outside.all() else text
 
@@ -173,14 +173,8 @@ def check_control(cloud: PointCloud, points: ControlPoints) -> ControlResiduals:
         if np.isnan(vertical[row]):
             vertical[row] = _surface_offset(around)
     horizontal = (points.picked - points.surveyed)[:, :2]
-    world = cloud.world()[:, :2]
-    extent = np.array([world.min(axis=0), world.max(axis=0)]) if len(world) else None
+    extent = np.array(extent_of(cloud.xyz[:, :2])) + cloud.origin[:2] if len(cloud) else None
     return ControlResiduals(points, horizontal, vertical, support, offset, cloud.crs, extent)
-
-
-def _beyond(places: Floats, extent: Floats) -> Floats:
-    """Distance of places (N, 2) from a rectangle (2, 2), zero inside [m]."""
-    return np.linalg.norm(np.maximum(np.maximum(extent[0] - places, places - extent[1]), 0.0), axis=1)
 
 
 def _surface_offset(around: Floats) -> float:

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import errno
-import signal
 import sys
-import threading
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -24,6 +20,7 @@ from subiaco_bringup.cli import (
     commands_record,
     commands_survey,
 )
+from subiaco_bringup.signals import sigterm_interrupts
 from subiaco_geo import __version__
 from subiaco_geo.disk import is_disk_full
 from subiaco_geo.errors import SubiacoError
@@ -120,25 +117,6 @@ def _report_unexpected(error: Exception, words: Sequence[str]) -> int:
     return 1
 
 
-@contextmanager
-def _sigterm_interrupts() -> Iterator[list[int]]:
-    """Let SIGTERM end a command as Ctrl-C does; yield the signals that came."""
-    came: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield came
-        return
-
-    def interrupt(number: int, _frame: FrameType | None) -> None:
-        came.append(number)
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield came
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL if before is None else before)
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
@@ -151,7 +129,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     verbose = "-v" in words or "--verbose" in words
     terminated: list[int] = []
     try:
-        with _sigterm_interrupts() as terminated:
+        with sigterm_interrupts() as terminated:
             outcome = app(args=words, prog_name="subiaco", standalone_mode=False)
     except SubiacoError as error:
         if verbose:

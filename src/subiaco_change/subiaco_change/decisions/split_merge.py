@@ -35,9 +35,9 @@ from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
-_HARDLY = NUMBERS.split_merge.least_observed
-_WITHIN = NUMBERS.split_merge.inside_share
 _WALL = NUMBERS.split_merge.wall_reach
+_WITHIN = NUMBERS.split_merge.inside_share
+_HARDLY = NUMBERS.split_merge.least_observed
 
 
 @switchable("building_extensions", first_argument)

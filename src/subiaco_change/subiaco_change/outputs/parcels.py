@@ -26,7 +26,6 @@ _FAULTS = (
     pyogrio.errors.GeometryError, pyogrio.errors.CRSError, OSError, ValueError, ShapelyError, ProjError,
     LookupError, TypeError, OverflowError,
 )  # fmt: skip
-#: Labels that count as a change.
 OUTSIDE = "outside all lots"  # name of the row that takes what lies on no lot
 _SUMS = (
     "rejected",

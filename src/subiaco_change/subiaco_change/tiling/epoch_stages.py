@@ -60,6 +60,7 @@ from subiaco_change.tiling.stage_inputs import PairRegistration, in_frame, slice
 from subiaco_change.tiling.tile_segmentation import SegmentationParams, SegmentationSlice, prepare_tile
 from subiaco_change.view_from_above import seen_from_above
 from subiaco_change.visibility_evidence import evidence_kind
+from subiaco_geo.clouds import distance_to_box
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats
@@ -116,7 +117,7 @@ class Epochs:
     simulated: bool = False
     sizes: dict[str, dict[str, int]] = field(default_factory=dict)  # points by epoch and tile, at the leaf
     input_points: int = 0  # of both epochs, of all tiles
-    feet_hint: str = ""  # what a registration that fails says of the units
+    extents: tuple[tuple[Floats, Floats], ...] = ()  # lowest and highest coordinates (3,) of each epoch
 
     @property
     def size(self) -> float:
@@ -181,7 +182,7 @@ class Epochs:
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
-        self.feet_hint = "" if both else _feet_hint(*(high - low for low, high in extents))
+        self.extents = tuple(extents)
 
     def check_heights(self) -> None:
         """Refuse georeferenced epochs whose heights are of two kinds, from tiles that both have.
@@ -349,7 +350,9 @@ class Epochs:
         try:
             found, *prepared = self.runner.together(stages, (0.05, 0.47))
         except RegistrationError as error:
-            raise RegistrationError(f"{error}{self.feet_hint}") from error
+            if self.info.crs is not None:
+                raise
+            raise RegistrationError(f"{error}{_feet_hint(*self.extents)}") from error
         self.prepared = dict(zip(EPOCHS, prepared, strict=True))
         for warning in self.registration(found["all"]).warnings:
             _LOG.warning("registration: %s", warning)
@@ -480,9 +483,10 @@ def _refuse_no_survey(who: str, crs: str | None, cut: CutCloud, least: int) -> N
         )
 
 
-def _feet_hint(before: Floats, after: Floats) -> str:
-    """Return what extents (3,) say that differ in plan as metres and feet do; else nothing."""
-    ratio = before[:2] / np.maximum(after[:2], 1e-9)
+def _feet_hint(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> str:
+    """Return what extents, low and high (3,), say that differ in plan as metres and feet do; else nothing."""
+    first, second = ((high - low)[:2] for low, high in (before, after))
+    ratio = first / np.maximum(second, 1e-9)
     for name, factor in (("before", ratio), ("after", 1.0 / np.maximum(ratio, 1e-9))):
         if np.all(np.abs(factor * foot - 1.0) < 0.05):
             return f"; the extent of {name} is {factor.mean():.2f} times as large: it may be in feet"
@@ -491,9 +495,7 @@ def _feet_hint(before: Floats, after: Floats) -> str:
 
 def _refuse_elsewhere(who: str, way: Trajectory, cut: CutCloud, reach: float) -> None:
     """Refuse poses that are all farther from the extent of a cloud, in plan, than a surface is seen [m]."""
-    position = way.positions[:, :2]
-    outside = np.maximum(np.maximum(cut.low[:2] - position, position - cut.high[:2]), 0.0)
-    nearest = float(np.linalg.norm(outside, axis=1).min(initial=np.inf))
+    nearest = float(distance_to_box(way.positions[:, :2], cut.low[:2], cut.high[:2]).min(initial=np.inf))
     if nearest > reach:
         raise InputError(
             f"{who}: no pose of the trajectory lies within {reach:.0f} m of the cloud (the nearest is "

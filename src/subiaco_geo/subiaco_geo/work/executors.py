@@ -123,9 +123,6 @@ class LocalPool:
                 spent = future.result()
                 del left[futures[future]]
                 yield spent
-        except KeyboardInterrupt:
-            self.stop()
-            raise
         finally:
             for future in futures:
                 future.cancel()
