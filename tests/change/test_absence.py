@@ -11,6 +11,7 @@ from test_decisions import CONFIG, SAME
 
 from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features
 from subiaco_change.decisions.rules import decide
+from subiaco_change.objects.known_space import KnownSpace
 from subiaco_change.objects.measures import absence, opacity, pooled, porous_chance
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.visibility_evidence import EvidenceConfig
@@ -61,15 +62,20 @@ def obj(passed, occupied_in_other=0):
     )
 
 
+def after_knows(free):
+    """Only the later survey knows what is free."""
+    return KnownSpace(), KnownSpace(free=free)
+
+
 def test_the_absence_of_an_object_is_asked_of_the_other_epoch_and_of_free_places_alone():
     def known(xyz):
         assert (xyz[:, 0] >= 4).all()
         return np.full(len(xyz), 0.9)
 
-    found = absence([obj(1.0, occupied_in_other=4)], [], (None, known))
+    found = absence([obj(1.0, occupied_in_other=4)], [], after_knows(known))
     assert opacity([obj(1.0)]) == pytest.approx(0.5)
     assert found == pytest.approx(expit(logit(1 / (1 + 0.5**4)) * (6 / 4) ** 0.5))
-    assert absence([obj(1.0)], [], (known, None)) == 1.0
+    assert absence([obj(1.0)], [], after_knows(known)[::-1]) == 1.0
 
 
 @pytest.mark.parametrize(("count", "least", "most"), [(4, 0.6, 0.7), (20, 0.7, 0.85), (400, 0.95, 1.0)])
@@ -78,7 +84,7 @@ def test_thin_evidence_in_many_places_is_evidence(count, least, most):
     yes = np.ones(count, dtype=bool)
     voxels = Voxels(np.zeros(count, int), xyz, xyz * 0, np.ones(count), yes, ~yes, yes)
     part = ObjectInstance(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.zeros(0))
-    assert least <= absence([part], [], (None, lambda places: np.full(len(places), 0.64))) <= most
+    assert least <= absence([part], [], after_knows(lambda places: np.full(len(places), 0.64))) <= most
 
 
 @given(count=st.integers(1, 400), chance=st.floats(0.5, 0.99), certain=st.floats(0.6, 1.0))
@@ -87,10 +93,11 @@ def test_what_all_places_of_an_object_share_bounds_what_they_prove_together(coun
     yes = np.ones(count, dtype=bool)
     voxels = Voxels(np.zeros(count, int), xyz, xyz * 0, np.ones(count), yes, ~yes, yes)
     part = ObjectInstance(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.zeros(0))
-    free = (None, lambda places: np.full(len(places), chance))
-    bounded = absence([part], [], free, (None, lambda xyz: np.full(len(xyz), certain)))
-    assert bounded <= certain
-    assert bounded == pytest.approx(certain * absence([part], [], free))
+    spaces = after_knows(lambda places: np.full(len(places), chance))
+    whole = replace(spaces[1], certain=lambda places: np.full(len(places), certain))
+    bounded = absence([part], [], (spaces[0], whole))
+    assert bounded <= certain + 1e-12
+    assert bounded == pytest.approx(certain * absence([part], [], spaces))
 
 
 @pytest.mark.parametrize(("voxels", "claimed"), [(8, False), (40, True), (400, True)])

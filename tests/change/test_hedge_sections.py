@@ -14,6 +14,7 @@ from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.split_merge import split_hedge_segments
 from subiaco_change.instance_splitting.hedge_sections import changed_sections
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.known_space import KnownSpace
 from subiaco_change.objects.measures import MeasureConfig, measure
 from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_geo.codes import Change, Semantic
@@ -60,10 +61,11 @@ def test_a_section_grew_only_if_the_earlier_epoch_saw_free_space_above_its_tops(
     def free(xyz):
         return np.where(xyz[:, 2] < reach, 0.9, 0.5)
 
-    assert len(changed_sections([before], [after], 0.3, (free, None))[0]) == count
-    assert len(changed_sections([after], [before], 0.3, (None, free))[0]) == count
+    spaces = KnownSpace(above=free), KnownSpace()
+    assert len(changed_sections([before], [after], 0.3, spaces)[0]) == count
+    assert len(changed_sections([after], [before], 0.3, spaces[::-1])[0]) == count
     with rules_switched_off(["space_above_sections"]):
-        assert len(changed_sections([before], [after], 0.3, (free, None))[0]) == 1
+        assert len(changed_sections([before], [after], 0.3, spaces)[0]) == 1
 
 
 def test_two_hedges_in_one_instance_of_which_one_grew_and_one_was_trimmed_are_two_rows():

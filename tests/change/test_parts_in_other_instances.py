@@ -11,6 +11,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.object_comparison import compare_objects
 from subiaco_change.decisions.object_decision import ObjectRules
 from subiaco_change.instance_splitting.places_seen_free import places_seen_free
+from subiaco_change.objects.known_space import KnownSpace
 from subiaco_change.objects.measures import MeasureConfig, same_place
 from subiaco_change.objects.voxel_objects import EpochView, build_voxels
 from subiaco_geo.codes import Change, Semantic
@@ -77,9 +78,8 @@ def beams(view):
 
 
 def compared(before, after):
-    rules = ObjectRules(
-        MeasureConfig(), AssociationConfig(), DecisionConfig(), free=(beams(before), beams(after))
-    )
+    spaces = KnownSpace(free=beams(before)), KnownSpace(free=beams(after))
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig(), spaces=spaces)
     return compare_objects(before, after, everywhere, everywhere, rules)
 
 

@@ -10,11 +10,12 @@ import pytest
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.method_rules.switches import rules_switched_off
-from subiaco_change.objects.plant_tops import EpochSpace, TopConfig, change_of_tops, expected_top
+from subiaco_change.objects.known_space import KnownSpace
+from subiaco_change.objects.plant_tops import TopConfig, change_of_tops, expected_top
 from subiaco_change.point_spacing import at_spacing
 
 CONFIG = TopConfig()
-NOTHING = EpochSpace(np.zeros((0, 3)))
+NOTHING = KnownSpace()
 
 
 def crown(seed, points=3000, top=9.0, height=4.0, radius=2.5, x=0.0):
@@ -83,11 +84,11 @@ def test_a_top_above_the_view_of_the_other_epoch_is_not_known():
     def free(xyz):
         return np.where(xyz[:, 2] < 8.2, 0.9, 0.5)
 
-    blind = EpochSpace(np.zeros((0, 3)), free)
+    blind = KnownSpace(above=free)
     assert np.isnan(change_of_tops(cut, after, (blind, NOTHING), CONFIG).median)
     with rules_switched_off(["space_above_tops"]):
         assert change_of_tops(cut, after, (blind, NOTHING), CONFIG).median > 0.2
-    open_sky = replace(blind, free=lambda xyz: np.full(len(xyz), 0.9))
+    open_sky = replace(blind, above=lambda xyz: np.full(len(xyz), 0.9))
     assert change_of_tops(cut, after, (open_sky, NOTHING), CONFIG).median > 0.2
 
 
@@ -98,10 +99,10 @@ def test_one_free_place_above_a_top_does_not_show_that_the_plant_ends_there():
     def ring(xyz):
         return np.where(xyz[:, 2] < 3.15, 0.9, 0.5)
 
-    found = change_of_tops(before, after, (NOTHING, EpochSpace(np.zeros((0, 3)), ring)), CONFIG)
+    found = change_of_tops(before, after, (NOTHING, KnownSpace(above=ring)), CONFIG)
     assert np.isnan(found.median)
     assert found.unseen
-    open_sky = EpochSpace(np.zeros((0, 3)), lambda xyz: np.full(len(xyz), 0.9))
+    open_sky = KnownSpace(above=lambda xyz: np.full(len(xyz), 0.9))
     seen = change_of_tops(before, after, (NOTHING, open_sky), CONFIG)
     assert seen.median == pytest.approx(-1.4, abs=0.2)
     assert not seen.unseen
@@ -116,7 +117,7 @@ def test_plants_that_share_no_columns_have_no_unseen_tops():
 def test_points_of_another_class_between_the_tops_contradict_growth():
     before, after = crown(1), crown(2, top=9.6, height=4.6)
     lost = crown(3, top=9.6, height=4.6)
-    other = EpochSpace(lost[lost[:, 2] > 8.0])
+    other = KnownSpace(lost[lost[:, 2] > 8.0])
     assert change_of_tops(before, after, (NOTHING, NOTHING), CONFIG).median > 0.4
     assert np.isnan(change_of_tops(before, after, (other, NOTHING), CONFIG).median)
 

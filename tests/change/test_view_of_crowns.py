@@ -11,6 +11,7 @@ from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object
 from subiaco_change.decisions.view_of_crowns import goes_on_above, is_top_seen
+from subiaco_change.objects.known_space import KnownSpace
 from subiaco_change.objects.measures import MeasureConfig
 from subiaco_geo.codes import Change, Semantic
 
@@ -52,13 +53,13 @@ def test_few_columns_tell_no_top():
 def test_a_cut_crown_above_the_view_of_the_other_survey_is_not_claimed(reach, beside, change):
     cut = obj([(block((0, 0, 3), (5, 5, 5)), False)])
     stem = block((5 + beside, 2, 0), (6 + beside, 3, 3))
-    rules = replace(RULES, below_view=(below(reach), below(reach)), standing=(stem, stem))
+    rules = replace(RULES, spaces=(KnownSpace(stem, below_view=below(reach)),) * 2)
     assert decide_object((), [cut], Semantic.VEGETATION, rules).decision.change is change
 
 
 def test_a_crown_with_its_top_seen_is_claimed_above_all_that_surrounds_it():
     beside = np.add(crown(), (2.5, 0.0, -1.0))
-    rules = replace(RULES, below_view=(below(0.5), below(0.5)), standing=(beside, beside))
+    rules = replace(RULES, spaces=(KnownSpace(beside, below_view=below(0.5)),) * 2)
     whole = obj([(crown(), False)])
     assert decide_object((), [whole], Semantic.VEGETATION, rules).decision.change is Change.ADDED
     assert decide_object([whole], (), Semantic.VEGETATION, rules).decision.change is Change.REMOVED
@@ -67,9 +68,7 @@ def test_a_crown_with_its_top_seen_is_claimed_above_all_that_surrounds_it():
 def test_what_every_view_reaches_is_enough_to_claim_a_felled_tree():
     stem = block((0, 0, 0.5), (1, 1, 2.0))
     tree = obj([(np.concatenate([stem, block((-2, -2, 2), (3, 3, 4))]), False)])
-    rules = replace(
-        RULES, below_view=(below(0.2), below(0.2)), standing=(np.add(stem, 1.0), np.add(stem, 1.0))
-    )
+    rules = replace(RULES, spaces=(KnownSpace(np.add(stem, 1.0), below_view=below(0.2)),) * 2)
     assert decide_object([tree], (), Semantic.VEGETATION, rules).decision.change is Change.REMOVED
 
 
@@ -81,7 +80,7 @@ def test_a_crown_that_both_fields_of_view_cut_did_not_grow(reach, label):
     after = obj([(low, True), (high, False)])
     free = replace(after.voxels, free_space_confirmed=~after.voxels.occupied_in_other)
     after = replace(after, voxels=free)
-    rules = replace(RULES, below_view=(below(reach), below(9.0)))
+    rules = replace(RULES, spaces=(KnownSpace(below_view=below(reach)), KnownSpace(below_view=below(9.0))))
     assert decide_object([before], [after], Semantic.VEGETATION, rules).decision.change is label
 
 
@@ -110,5 +109,6 @@ def test_a_round_crown_grew_only_if_its_surroundings_did_not_rise_with_it(top, l
     after = obj([old, new])
     free = replace(after.voxels, free_space_confirmed=~after.voxels.occupied_in_other)
     after = replace(after, voxels=free)
-    rules = replace(RULES, below_view=(below(5.0), below(9.0)), standing=(around(6.0), around(top)))
+    spaces = KnownSpace(around(6.0), below_view=below(5.0)), KnownSpace(around(top), below_view=below(9.0))
+    rules = replace(RULES, spaces=spaces)
     assert decide_object([obj([old])], [after], Semantic.VEGETATION, rules).decision.change is label

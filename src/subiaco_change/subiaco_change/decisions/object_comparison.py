@@ -29,6 +29,7 @@ from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_pa
 from subiaco_change.instance_splitting.places_seen_free import places_seen_free
 from subiaco_change.instance_splitting.trees_over_shrubs import split_trees_over_shrubs
 from subiaco_change.objects.column_volumes import OpenGround, ground_columns
+from subiaco_change.objects.known_space import KnownSpace
 from subiaco_change.objects.measures import footprint, same_place
 from subiaco_change.objects.voxel_objects import (
     EpochView,
@@ -58,10 +59,10 @@ def compare_objects(
         rules,
         ground=OpenGround(bare[0], bare[1], rules.ground.empty, edge),
         own=(own_epoch_evidence(before, seen_by_before), own_epoch_evidence(after, seen_by_after)),
-        standing=(before.xyz[is_standing(before)], after.xyz[is_standing(after)]),
+        spaces=(_with_standing(rules.spaces[0], before), _with_standing(rules.spaces[1], after)),
     )
-    voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
-    voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
+    voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.spaces[1].free)
+    voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.spaces[0].free)
     objects_before = _with_parts((before, after), voxels_b, 1, reach, rules)
     objects_after = _with_parts((after, before), voxels_a, 0, reach, rules)
     if rules.by_class:
@@ -89,6 +90,11 @@ def compare_objects(
     return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
 
 
+def _with_standing(space: KnownSpace, view: EpochView) -> KnownSpace:
+    """Add to what an epoch knows of the space around its points above the ground."""
+    return replace(space, standing=view.xyz[is_standing(view)])
+
+
 def _with_parts(
     views: tuple[EpochView, EpochView], voxels: Voxels, other: int, reach: Reach, rules: ObjectRules
 ) -> list[ObjectInstance]:
@@ -100,11 +106,11 @@ def _with_parts(
     if rules.from_above:
         objects = split_felled_crowns(objects, *views, reach)
     joined = join_voxels(objects)
-    seen_free = places_seen_free(joined, views[1], reach, rules.free[other])
+    seen_free = places_seen_free(joined, views[1], reach, rules.spaces[other].free)
     ends = np.cumsum([len(t.voxels) for t in objects])[:-1]
     free = np.split(seen_free, ends) if objects else []
     parted = split_one_epoch_parts(objects, rules.association.parts, free)
-    return split_trees_over_shrubs(parted, rules.below_view[other], rules.association.parts)
+    return split_trees_over_shrubs(parted, rules.spaces[other].below_view, rules.association.parts)
 
 
 def _parts(

@@ -37,13 +37,13 @@ from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.vehicle_parts import decide_vehicle_part
 from subiaco_change.decisions.view_of_crowns import within_view
 from subiaco_change.geometry import in_box_around
-from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
+from subiaco_change.objects.known_space import ALL_FREE, KnownSpaces
 from subiaco_change.objects.measures import MeasureConfig, Measures, absence, measure, observed_fraction
-from subiaco_change.objects.space_carving import Empty, Interval
-from subiaco_change.objects.voxel_objects import Certainty, Free, ObjectInstance, join_voxels
+from subiaco_change.objects.space_carving import Interval
+from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -99,13 +99,9 @@ class ObjectRules:
     decisions: DecisionConfig
     by_class: bool = True  # objects of different classes are never one
     ground: OpenGround = BUILT_UP  # where nothing stands
-    own: tuple[OwnEpochEvidence | None, OwnEpochEvidence | None] = (None, None)  # of *before* and of *after*
-    standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
-    free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
-    above: tuple[Free | None, Free | None] = (None, None)  # the same above the tops of plants
-    below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
-    certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
+    spaces: KnownSpaces = ALL_FREE  # what *before* and *after* know of the space around
     lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
+    own: tuple[OwnEpochEvidence | None, OwnEpochEvidence | None] = (None, None)  # of *before* and of *after*
     moved: tuple[Moved | None, Moved | None] = (None, None)  # what *before* and *after* know to have moved
     around: tuple[Surroundings | None, Surroundings | None] = (None, None)  # what both hold farther around
     from_above: bool = False  # whether both epochs were measured from above
@@ -118,20 +114,18 @@ def decide_object(
     """Measure and decide what the parts of one object in both epochs say together."""
     building = semantic is Semantic.BUILDING
     parts = (*before, *after)
-    compared = within_view(before, after, semantic, rules.below_view, rules.standing)
+    compared = within_view(before, after, semantic, rules.spaces)
     measures = measure(
         join_voxels(compared[0]), join_voxels(compared[1]), rules.measures, rules.ground, building
     )
     if not (before and after):
         measures = replace(measures, observed_fraction=_observed_fraction(parts, measures, rules))
-    patch = rules.measures.patch_voxels
-    measures = replace(measures, free=absence(before, after, rules.free, rules.certain, patch))
+    free = absence(before, after, rules.spaces, rules.measures.patch_voxels)
+    measures = replace(measures, free=free)
     lod = object_lod(parts)
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:
-        plant = measure_plant(
-            *compared, measures, rules.plants, rules.standing, rules.free, rules.certain, rules.above
-        )
+        plant = measure_plant(*compared, measures, rules.plants, rules.spaces)
         measures = _with_tops(measures, plant, lod)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
@@ -146,7 +140,7 @@ def decide_object(
         contrast = contrast_with_ground(parts, semantic, own, rules.decisions)
         decision = (
             decide_misclassified_ground(semantic, parts)
-            or decide_floating_line(parts, rules.standing[epoch], rules.decisions)
+            or decide_floating_line(parts, rules.spaces[epoch].standing, rules.decisions)
             or decide_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or decide_strip_on_road(parts, own, rules.decisions)
             or decide_person_on_the_way(parts, semantic, own)
@@ -157,7 +151,7 @@ def decide_object(
             or decide_piece_of_trail(
                 parts, semantic, own, rules.around[epoch], rules.around[1 - epoch], rules.decisions
             )
-            or decide_vehicle_part(parts, semantic, measures, rules.standing[1 - epoch])
+            or decide_vehicle_part(parts, semantic, measures, rules.spaces[1 - epoch].standing)
             or decision
         )
         if decision.change in ONE_EPOCH:
@@ -181,7 +175,7 @@ def _observed_fraction(parts: Sequence[ObjectInstance], measures: Measures, rule
 
     The lower part of a crown is enough to claim the crown, if that part is known to be free.
     """
-    if not any(rules.below_view):
+    if all(space.below_view is None for space in rules.spaces):
         return measures.observed_fraction
     return observed_fraction(join_voxels(parts), join_voxels(()), rules.measures)
 

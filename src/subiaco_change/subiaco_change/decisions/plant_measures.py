@@ -19,12 +19,12 @@ from scipy.special import expit, logit
 
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
 from subiaco_change.geometry import in_box_around
-from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
+from subiaco_change.objects.known_space import ALL_FREE, Certainty, Free, KnownSpaces
 from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
-from subiaco_change.objects.plant_tops import EpochSpace, TopChange, TopConfig, change_of_tops
-from subiaco_change.objects.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
+from subiaco_change.objects.plant_tops import TopChange, TopConfig, change_of_tops
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
@@ -161,24 +161,19 @@ def measure_plant(
     after: Sequence[ObjectInstance],
     measures: Measures,
     config: PlantConfig,
-    standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
-    free: tuple[Free | None, Free | None] = (None, None),
-    certain: tuple[Certainty | None, Certainty | None] = (None, None),
-    above: tuple[Free | None, Free | None] = (None, None),
+    spaces: KnownSpaces = ALL_FREE,
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
-    ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
-    and of *after*: how probable it is that places (N, 3) are free; None: certain. ``certain``: how certain
-    these can be at most. ``above``: how probable it is that places above its tops are free.
+    ``spaces``: what *before* and *after* know of the space around it.
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
-    lost = free_shell(first, standing[1], free[1], config, certain[1])
-    lost = min(lost, absence(before, (), free, certain))
-    gained = free_shell(second, standing[0], free[0], config, certain[0])
-    gained = min(gained, absence((), after, free, certain))
-    spaces = [EpochSpace(*known) for known in zip(standing, above, strict=True)]
-    tops = _tops(first, second, (spaces[0], spaces[1]), config)
+    old, new = spaces
+    lost = free_shell(first, new.standing, new.free, config, new.certain)
+    lost = min(lost, absence(before, (), spaces))
+    gained = free_shell(second, old.standing, old.free, config, old.certain)
+    gained = min(gained, absence((), after, spaces))
+    tops = _tops(first, second, spaces, config)
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
     both = np.concatenate([first, second])
@@ -226,9 +221,7 @@ def beyond_outline(before: Voxels, after: Voxels, beside: float) -> float:
 
 
 @switchable("tops_of_columns", lambda *_: TopChange())
-def _tops(
-    before: Floats, after: Floats, spaces: tuple[EpochSpace, EpochSpace], config: PlantConfig
-) -> TopChange:
+def _tops(before: Floats, after: Floats, spaces: KnownSpaces, config: PlantConfig) -> TopChange:
     """Measure how far the tops of the columns of a plant moved."""
     return change_of_tops(before, after, spaces, config.tops)
 

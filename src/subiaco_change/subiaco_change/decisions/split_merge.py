@@ -313,7 +313,7 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
         return [change]
     limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
-    sections, columns = changed_sections(change.before, change.after, limit, rules.above, rules.plants.tops)
+    sections, columns = changed_sections(change.before, change.after, limit, rules.spaces, rules.plants.tops)
     if not sections:
         return [change]
     alike = len({s.rise > 0 for s in sections}) == 1

@@ -16,8 +16,8 @@ from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
 from subiaco_change.objects.column_volumes import column_keys
+from subiaco_change.objects.known_space import Empty, KnownSpaces
 from subiaco_change.objects.plant_tops import expected_top
-from subiaco_change.objects.space_carving import Empty
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.ground_model import Mask
@@ -45,8 +45,7 @@ def within_view(
     before: Sequence[ObjectInstance],
     after: Sequence[ObjectInstance],
     semantic: Semantic,
-    below_view: tuple[Empty | None, Empty | None],
-    standing: tuple[Floats, Floats],
+    spaces: KnownSpaces,
 ) -> tuple[Sequence[ObjectInstance], Sequence[ObjectInstance]]:
     """Parts of an object that are compared: of plants, those that the view of the other epoch reached.
 
@@ -56,11 +55,12 @@ def within_view(
     alone = not (before and after)
     if semantic is not Semantic.VEGETATION:
         return before, after
-    if alone and not _adjoins((*before, *after), standing[int(bool(before))]):
+    if alone and not _adjoins((*before, *after), spaces[int(bool(before))].standing):
         return before, after
+    standing = spaces[0].standing, spaces[1].standing
     return (
-        _in_view(before, after or before, below_view[1], standing),
-        _in_view(after, before or after, below_view[0], standing[::-1]),
+        _in_view(before, after or before, spaces[1].below_view, standing),
+        _in_view(after, before or after, spaces[0].below_view, standing[::-1]),
     )
 
 

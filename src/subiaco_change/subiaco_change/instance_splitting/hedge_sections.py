@@ -12,8 +12,9 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, switchable
+from subiaco_change.objects.known_space import ALL_FREE, Free, KnownSpaces
 from subiaco_change.objects.plant_tops import TopConfig, open_above
-from subiaco_change.objects.voxel_objects import Free, ObjectInstance
+from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.hedge_sections.cell
@@ -22,9 +23,6 @@ _POINTS = NUMBERS.hedge_sections.column_points
 _CELLS = NUMBERS.hedge_sections.section_columns
 _LENGTH = NUMBERS.hedge_sections.section_length
 _SEEN = NUMBERS.hedge_sections.observed_share
-
-#: Nothing stands.
-NOTHING: Floats = np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
@@ -40,13 +38,13 @@ def changed_sections(
     before: Sequence[ObjectInstance],
     after: Sequence[ObjectInstance],
     threshold: float,
-    free: tuple[Free | None, Free | None] = (None, None),
+    spaces: KnownSpaces = ALL_FREE,
     config: TopConfig | None = None,
 ) -> tuple[list[HedgeSection], Floats]:
     """Find where tops of a low plant moved by over a threshold [m], and beyond their spread.
 
-    The epoch with the lower tops must have observed the space above them: ``free`` of *before* and of *after*
-    tells how probable it is that places (N, 3) are free, where that is known. Returns the sections, and all
+    The epoch with the lower tops must have observed the space above them, where ``spaces`` of *before* and of
+    *after* tell. Returns the sections, and all
     columns compared (C, 2).
     """
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
@@ -66,7 +64,7 @@ def changed_sections(
             xy = _middles(cells + corner)
             lower = 0 if sign > 0 else 1
             if _observed((after, before)[lower], xy, tops[lower], cells) and _is_open(
-                xy, tops[lower][tuple(cells.T)], tops[1 - lower][tuple(cells.T)], free[lower], config
+                xy, tops[lower][tuple(cells.T)], tops[1 - lower][tuple(cells.T)], spaces[lower].above, config
             ):
                 sections.append(HedgeSection(xy, float(np.median(rise[labels == number])), threshold))
     known = np.argwhere(np.isfinite(rise))

@@ -12,10 +12,10 @@ import numpy as np
 from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
+from subiaco_change.objects.known_space import Free
 from subiaco_change.objects.vehicle_bodies import inside_vehicles
 from subiaco_change.objects.voxel_objects import (
     EpochView,
-    Free,
     Reach,
     Voxels,
     is_standing,

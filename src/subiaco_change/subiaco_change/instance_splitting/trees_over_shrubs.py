@@ -16,8 +16,8 @@ from subiaco_change.association.config import PartConfig
 from subiaco_change.instance_splitting.one_epoch_parts import large_parts, split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.measures import footprint_sides
-from subiaco_change.objects.space_carving import Empty
 from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.clustering import group_indices, voxel_clusters

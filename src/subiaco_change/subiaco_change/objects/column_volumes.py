@@ -6,7 +6,6 @@ houses the street sees half of the roof: the tops of the other half are interpol
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.ground_model import Mask
@@ -29,9 +29,6 @@ _STRAY = NUMBERS.column_volumes.stray_share
 _PROBES = NUMBERS.column_volumes.probe_heights
 
 NO_COLUMNS: Ints = np.zeros(0, dtype=np.int64)
-
-#: Tells which places (N, 3) a survey saw free.
-Empty = Callable[[Floats], Mask]
 
 
 @dataclass(frozen=True)

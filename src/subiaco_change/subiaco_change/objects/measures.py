@@ -27,8 +27,9 @@ from subiaco_change.objects.column_volumes import (
     compare_volumes,
     exists_in_one_epoch,
 )
+from subiaco_change.objects.known_space import Certainty, KnownSpaces
 from subiaco_change.objects.space_carving import CarvingEpoch, Interval, carve
-from subiaco_change.objects.voxel_objects import Certainty, Free, ObjectInstance, Reach, Voxels, join_voxels
+from subiaco_change.objects.voxel_objects import ObjectInstance, Reach, Voxels, join_voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_geo.clouds import unique_cells
 from subiaco_geo.config import StrictModel
@@ -291,35 +292,31 @@ def footprint(parts: Sequence[Floats], cell: float = 0.5) -> BaseGeometry:
 def absence(
     before: Sequence[ObjectInstance],
     after: Sequence[ObjectInstance],
-    free: tuple[Free | None, Free | None],
-    certain: tuple[Certainty | None, Certainty | None] = (None, None),
+    spaces: KnownSpaces,
     patch: float = MeasureConfig().patch_voxels,
 ) -> float:
     """Probability that the object is absent where the other epoch holds nothing.
 
     The mean log odds of the places, times the square root of the number of patches that they form: places
     next to one another are crossed by the same beams, so their errors are correlated. What all patches of an
-    object have in common does not average out: the probability stays below the mean of ``certain``.
+    object have in common does not average out: the probability stays below the mean certainty.
 
     Parameters
     ----------
     before, after : sequence of ObjectInstance
         Parts of the object in both epochs.
-    free : (callable, callable)
-        How probable *before* and *after* find it that places (N, 3) are free; None: certain.
-    certain : (callable, callable)
-        Probability that the evidence of *before* and of *after* at places (N, 3) is right as a whole: of a
-        bare cloud nobody knows whence it was measured, and one hidden place tells of all the others. None: 1.
+    spaces : (KnownSpace, KnownSpace)
+        What *before* and *after* know to be free, and how certainly.
     patch : float
         Number of voxels that form a patch.
     """
     chances, bound = [np.zeros(0)], 1.0
-    for objects, known, whole in ((before, free[1], certain[1]), (after, free[0], certain[0])):
-        if objects and known is not None:
+    for objects, other in ((before, spaces[1]), (after, spaces[0])):
+        if objects and other.free is not None:
             voxels = join_voxels(objects)
             places = voxels.xyz[voxels.observed_unoccupied]
-            bound = min(bound, mean_certainty(whole, places))
-            chances.append(porous_chance(known(places), opacity(objects)))
+            bound = min(bound, mean_certainty(other.certain, places))
+            chances.append(porous_chance(other.free(places), opacity(objects)))
     joined = np.concatenate(chances)
     return 1.0 if len(joined) == 0 else bound * pooled(float(joined.mean()), len(joined), patch)
 

@@ -18,7 +18,7 @@ from scipy.special import gammaln, ndtri, stdtrit
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
-from subiaco_change.objects.voxel_objects import Free
+from subiaco_change.objects.known_space import Free, KnownSpaces
 from subiaco_geo.clouds import extent_of, unique_cells
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -75,18 +75,6 @@ class TopConfig(StrictModel):
 
 
 @dataclass(frozen=True)
-class EpochSpace:
-    """What an epoch knows of the space around a plant.
-
-    ``standing`` (N, 3): its points above the ground, of any class [m]. ``free``: how probable it finds
-    places (N, 3) free; None where all space counts as observed.
-    """
-
-    standing: Floats
-    free: Free | None = None
-
-
-@dataclass(frozen=True)
 class TopChange:
     """Median rise of the tops of a plant, with its standard error [m]; NaN where it was not observed.
 
@@ -115,17 +103,15 @@ class _Columns:
         return _Columns(self.cell, self.cells[kept], self.tops[:, kept], self.highest[:, kept])
 
 
-def change_of_tops(
-    before: Floats, after: Floats, spaces: tuple[EpochSpace, EpochSpace], config: TopConfig
-) -> TopChange:
+def change_of_tops(before: Floats, after: Floats, spaces: KnownSpaces, config: TopConfig) -> TopChange:
     """Measure how far the tops of the highest columns of a plant moved.
 
     Parameters
     ----------
     before, after : (N, 3), (M, 3) float64
         Points of the plant [m].
-    spaces : (EpochSpace, EpochSpace)
-        What *before* and *after* know of the space around it.
+    spaces : (KnownSpace, KnownSpace)
+        What *before* and *after* know of the space around it: points that stand there, places free above it.
     config : TopConfig
 
     Returns
@@ -238,7 +224,7 @@ def expected_top(heights: Floats, column: Ints, drawn: Ints) -> Floats:
 
 
 @switchable("space_above_tops", lambda columns, *_: np.ones(len(columns.cells), dtype=bool))
-def _known(columns: _Columns, spaces: tuple[EpochSpace, EpochSpace], config: TopConfig) -> np.ndarray:
+def _known(columns: _Columns, spaces: KnownSpaces, config: TopConfig) -> np.ndarray:
     """Tell of which columns (C,) the epoch with the lower top knows that nothing stood above it.
 
     Above that top it observed free space, and no point of another class reaches into the difference.
@@ -251,8 +237,8 @@ def _known(columns: _Columns, spaces: tuple[EpochSpace, EpochSpace], config: Top
             continue
         space, top = spaces[epoch], columns.highest[epoch]
         known[mine] &= ~_other_class_above(columns, top, space.standing)[mine]
-        if space.free is not None:
-            known &= ~mine | open_above(middles, top, columns.tops[1 - epoch], space.free, config)
+        if space.above is not None:
+            known &= ~mine | open_above(middles, top, columns.tops[1 - epoch], space.above, config)
     return known
 
 

@@ -33,13 +33,12 @@ from subiaco_change.method_rules.switches import (
 )
 from subiaco_change.objects.carving_config import CarvingConfig
 from subiaco_change.objects.column_volumes import body_tops
+from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints
 
-#: Tells which places (N, 3) a survey saw free.
-Empty = Callable[[Floats], Mask]
 #: Tells of columns (N, 2) whether an epoch met the ground there.
 Bare = Callable[[Floats], Mask]
 Cells = NDArray[np.bool_]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from subiaco_change.geometry import in_box_around, tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
+from subiaco_change.objects.known_space import Free
 from subiaco_change.objects.vehicle_bodies import inside_vehicles
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
@@ -24,12 +25,6 @@ OTHERS = -2  # instance of a point of an object that is compared elsewhere
 _GROUND_NEAR = NUMBERS.voxel_objects.ground_neighbours
 _STRAYED = NUMBERS.voxel_objects.foot_factor
 _PASSED_THROUGH = NUMBERS.voxel_objects.passes_per_return
-
-
-#: How probable it is, (N,), that nothing stood at places (N, 3).
-Free = Callable[[Floats], Floats]
-#: How probable it is, (N,), that what is known of places (N, 3) is right as a whole.
-Certainty = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,9 @@ from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, nu
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.objects.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.objects.known_space import Certainty, Empty, Free, KnownSpace
 from subiaco_change.objects.measures import MeasureConfig
-from subiaco_change.objects.space_carving import Empty
-from subiaco_change.objects.voxel_objects import NO_OBJECT, OTHERS, Certainty, EpochView, Free
+from subiaco_change.objects.voxel_objects import NO_OBJECT, OTHERS, EpochView
 from subiaco_change.records import ChangeRecord
 from subiaco_change.strategies import Part, choose_strategies
 from subiaco_change.tiling.candidate_groups import CandidateGroups
@@ -243,17 +243,21 @@ def with_evidence(
     rules: ObjectRules, evidence: tuple[SpaceEvidence, SpaceEvidence], kinds: Sequence[EvidenceKind]
 ) -> ObjectRules:
     """Return rules with what both epochs know of the space around: nothing where absence is assumed."""
-    known = [kind != "assumed" for kind in kinds]
-    empty = [e.empty if k else None for e, k in zip(evidence, known, strict=True)]
-    free = [e.free if k else None for e, k in zip(evidence, known, strict=True)]
-    above = [e.above if k else None for e, k in zip(evidence, known, strict=True)]
+    before, after = (None if kind == "assumed" else e.empty for e, kind in zip(evidence, kinds, strict=True))
     return replace(
         rules,
-        ground=OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1])),
-        free=(free[0], free[1]),
-        above=(above[0], above[1]),
-        below_view=(evidence[0].below_view, evidence[1].below_view),
-        certain=(evidence[0].certain, evidence[1].certain),
+        ground=OpenGround(NO_COLUMNS, NO_COLUMNS, (before, after)),
+        spaces=(_known_space(evidence[0], kinds[0]), _known_space(evidence[1], kinds[1])),
+    )
+
+
+def _known_space(evidence: SpaceEvidence, kind: EvidenceKind) -> KnownSpace:
+    known = kind != "assumed"
+    return KnownSpace(
+        free=evidence.free if known else None,
+        above=evidence.above if known else None,
+        below_view=evidence.below_view,
+        certain=evidence.certain,
     )
 
 
