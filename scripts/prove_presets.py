@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from tune_baselines import SEARCHED, prepare, tune
 
-from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_evaluation.scores import describe
 from subiaco_sim.config import SimulationConfig
 from subiaco_sim.survey import simulate

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from subiaco_evaluation.baseline_run import compare_pair
 from subiaco_evaluation.baselines.cells import Pair
-from subiaco_evaluation.baselines.config import BaselineConfig
-from subiaco_evaluation.baselines.run import compare_pair, prepare_pair
+from subiaco_evaluation.baselines.pair_preparation import prepare_pair
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_evaluation.grid import GridConfig, LabelledCells, look_up, rasterise
 from subiaco_evaluation.layouts import in_after_frame
 from subiaco_evaluation.scores import confusion, scores

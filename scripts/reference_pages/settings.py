@@ -59,7 +59,7 @@ class Setting:
 def models() -> dict[str, tuple[str, type[StrictModel], str]]:
     """Return the models of the commands by page name, with a title and where each is used."""
     from subiaco_change.config import ChangeConfig
-    from subiaco_evaluation.baselines.config import BaselineConfig
+    from subiaco_evaluation.config import BaselineConfig
     from subiaco_evaluation.injection.calibrate import MapCalibrationConfig
     from subiaco_evaluation.learned.config import TrainingConfig
     from subiaco_evaluation.scoring import EvaluationConfig

@@ -40,16 +40,16 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.job import read_transform, run_change
 from subiaco_change.pipeline import detect_changes
 from subiaco_change.request import ChangeRequest
-from subiaco_evaluation.baselines.cells import Pair
-from subiaco_evaluation.baselines.config import BaselineConfig
-from subiaco_evaluation.baselines.run import (
+from subiaco_evaluation.baseline_run import (
     METHODS,
     PDAL_METHOD,
     compare_pair,
     detect_simply,
-    prepare_pair,
     require_method,
 )
+from subiaco_evaluation.baselines.cells import Pair
+from subiaco_evaluation.baselines.pair_preparation import prepare_pair
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_evaluation.layouts import Prediction, in_after_frame, read_prediction
 from subiaco_evaluation.learned.methods import LEARNED_METHODS, POINT_METHODS
 from subiaco_evaluation.learned.weights_file import SHIPPED, read_record

@@ -29,8 +29,8 @@ from bench_city import run_once, time_m3c2
 from results import keep, rounded
 
 from subiaco_change.request import ComparisonRequest
-from subiaco_evaluation.baselines.config import BaselineConfig
-from subiaco_evaluation.baselines.run import run_baseline
+from subiaco_evaluation.baseline_run import run_baseline
+from subiaco_evaluation.config import BaselineConfig
 
 RADII = (1.0, 0.5)  # of the cylinders of M3C2 [m]
 

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scenes import Scene
 
+from subiaco_evaluation.baseline_run import METHODS, compare_pair, detect_simply
 from subiaco_evaluation.baselines.cells import clean, make_pair
-from subiaco_evaluation.baselines.config import BaselineConfig, DsmConfig
+from subiaco_evaluation.baselines.config import DsmConfig
 from subiaco_evaluation.baselines.dsm import difference_surfaces
-from subiaco_evaluation.baselines.run import METHODS, compare_pair, detect_simply, prepare_pair
+from subiaco_evaluation.baselines.pair_preparation import prepare_pair
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError, RegistrationError

@@ -13,9 +13,9 @@ from test_baselines import AFTER, BEFORE
 from subiaco_bringup.cli.commands_evaluation import Learned, Method
 from subiaco_bringup.cli.main import run
 from subiaco_change.outputs.directory import read_change_directory
+from subiaco_evaluation.baseline_run import ALL_METHODS
 from subiaco_evaluation.baselines.config import M3c2Config
 from subiaco_evaluation.baselines.pdal import pipeline, require_pdal
-from subiaco_evaluation.baselines.run import ALL_METHODS
 from subiaco_evaluation.learned.config import TrainingConfig
 from subiaco_evaluation.learned.jobs import training_job
 from subiaco_evaluation.learned.methods import LEARNED_METHODS

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from test_baselines import AFTER, BEFORE
 
-from subiaco_evaluation.baselines.config import BaselineConfig
-from subiaco_evaluation.baselines.run import compare_pair, prepare_pair
+from subiaco_evaluation.baseline_run import compare_pair
+from subiaco_evaluation.baselines.pair_preparation import prepare_pair
+from subiaco_evaluation.config import BaselineConfig
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 

@@ -33,6 +33,12 @@ ORDER = {
         "strategies", "tiling", "outputs",
         "pipeline", "job", "dry_run", "history", "nodes",
     ],
+    "subiaco_evaluation": [
+        "truth", "layouts", "grid", "scores", "families",
+        "object_matching", "near_gate", "paired", "reliability_plot", "score_files", "scoring",
+        "rule_runner", "rule_study", "ablation_study", "confidence_fit",
+        "injection", "baselines", "learned", "baseline_run",
+    ],
 }  # fmt: skip
 #: Joins the settings of all folders to one model, and every folder may read this model.
 SETTINGS = "config"

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_evaluation.learned.weights_file import write_weights
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"

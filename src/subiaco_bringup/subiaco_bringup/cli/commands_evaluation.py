@@ -82,8 +82,8 @@ def baseline(
     Example: subiaco baseline dsm out/before out/after -o out/dsm --transform out/change/registration.json
     """
     from subiaco_change.request import ComparisonRequest
-    from subiaco_evaluation.baselines.config import BaselineConfig
-    from subiaco_evaluation.baselines.run import run_baseline
+    from subiaco_evaluation.baseline_run import run_baseline
+    from subiaco_evaluation.config import BaselineConfig
     from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)

@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from subiaco_change.records import Registration
 from subiaco_change.segmentation.ground_model import GroundModel, Mask, fit_ground
-from subiaco_evaluation.baselines.config import BaselineConfig, CellConfig, Voids
+from subiaco_evaluation.baselines.config import CellConfig, Voids
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError

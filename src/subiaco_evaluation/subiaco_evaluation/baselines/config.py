@@ -13,9 +13,6 @@ from typing import Literal
 
 from pydantic import Field
 
-from subiaco_change.registration.config import RegistrationConfig
-from subiaco_change.segmentation.ground_model import GroundConfig
-from subiaco_evaluation.learned.config import LearnedConfig
 from subiaco_geo.config import StrictModel
 
 #: What a cell is that has no points in one epoch: not comparable (255), bare ground there, or Unchanged.
@@ -149,24 +146,3 @@ class M3c2Config(StrictModel):
     voids: Voids = Field(
         "ground", description="Label of a changed cell without points in the other epoch (tuned)"
     )
-
-
-class BaselineConfig(StrictModel):
-    """Everything that decides what a simple method says."""
-
-    leaf: float = Field(
-        0.25,
-        gt=0,
-        description="Voxel edge to which both clouds are thinned [m]; equals that of the full method",
-    )
-    normal_radius: float = Field(
-        0.8, gt=0, description="Radius of the normals for registration and level of detection [m]"
-    )
-    registration: RegistrationConfig = RegistrationConfig()
-    ground: GroundConfig = GroundConfig()
-    cells: CellConfig = CellConfig()
-    dsm: DsmConfig = DsmConfig()
-    nn: NearestConfig = NearestConfig()
-    c2c: CloudToCloudConfig = CloudToCloudConfig()
-    m3c2: M3c2Config = M3c2Config()
-    learned: LearnedConfig = LearnedConfig()

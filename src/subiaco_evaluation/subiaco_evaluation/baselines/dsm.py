@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from subiaco_evaluation.baselines.cells import CellVerdict, Codes, Pair, clean, name_changes
-from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
 

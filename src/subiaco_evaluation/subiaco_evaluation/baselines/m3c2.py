@@ -8,7 +8,8 @@ from subiaco_change.geometry import estimate_normals
 from subiaco_change.level_of_detection.displacement_lod import LodConfig, LodResult, compare_epochs
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_evaluation.baselines.cells import CellVerdict, EpochCells, Pair, decide_from_points, mean_by_cell
-from subiaco_evaluation.baselines.config import BaselineConfig, M3c2Config
+from subiaco_evaluation.baselines.config import M3c2Config
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_geo.clouds import PointCloud
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from subiaco_change.geometry import build_index, nearest
 from subiaco_change.level_of_detection.displacement_lod import LodConfig, combine, compare_epochs
 from subiaco_evaluation.baselines.cells import CellVerdict, EpochCells, Pair, decide_from_points, mean_by_cell
-from subiaco_evaluation.baselines.config import BaselineConfig, NearestConfig
+from subiaco_evaluation.baselines.config import NearestConfig
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_geo.frames import Floats
 
 #: Distances beyond this many times the gate are all the same to a threshold.

@@ -11,7 +11,7 @@ from scipy import ndimage
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_evaluation.baselines.cells import CellVerdict, Codes, EpochCells, Pair
-from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats, Ints

@@ -12,7 +12,8 @@ import numpy as np
 
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_evaluation.baselines.cells import CellVerdict, Pair, decide_from_points, mean_by_cell
-from subiaco_evaluation.baselines.config import BaselineConfig, M3c2Config
+from subiaco_evaluation.baselines.config import M3c2Config
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError

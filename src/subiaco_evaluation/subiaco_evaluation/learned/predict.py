@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from subiaco_evaluation.baselines.cells import CellVerdict, Codes, Pair
-from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_evaluation.grid import GridConfig, cell_rule
 from subiaco_evaluation.learned.batches import collate
 from subiaco_evaluation.learned.config import PointNetworkConfig, TrainingConfig

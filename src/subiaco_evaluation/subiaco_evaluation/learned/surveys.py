@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_evaluation.baselines.cells import Pair
-from subiaco_evaluation.baselines.config import BaselineConfig
-from subiaco_evaluation.baselines.run import prepare_pair
+from subiaco_evaluation.baselines.pair_preparation import prepare_pair
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_evaluation.grid import GridConfig, cell_keys, look_up, rasterise
 from subiaco_evaluation.layouts import in_after_frame
 from subiaco_evaluation.learned.config import PointNetworkConfig

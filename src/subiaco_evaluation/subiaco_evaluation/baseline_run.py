@@ -1,27 +1,22 @@
-"""Run of a baseline: from two survey maps to a change directory."""
+"""Run of a simple or a learned method: from two survey maps to a change directory."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-import numpy as np
-
-from subiaco_change.geometry import estimate_normals
 from subiaco_change.job import run_job
-from subiaco_change.level_of_detection.common_frame import CommonFrame
 from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.records import ChangeResult
-from subiaco_change.registration.pair import check_pair
-from subiaco_change.registration.register import given_registration, register
 from subiaco_change.request import ComparisonRequest
-from subiaco_evaluation.baselines.cells import CellVerdict, Pair, make_pair
-from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.baselines.cells import CellVerdict, Pair
 from subiaco_evaluation.baselines.dsm import difference_surfaces
 from subiaco_evaluation.baselines.m3c2 import difference_along_normals
 from subiaco_evaluation.baselines.nearest import difference_by_lod, difference_by_threshold
+from subiaco_evaluation.baselines.pair_preparation import prepare_pair
 from subiaco_evaluation.baselines.patches import connect, label_points, make_records
 from subiaco_evaluation.baselines.pdal import difference_by_pdal, require_pdal
+from subiaco_evaluation.config import BaselineConfig
 from subiaco_evaluation.learned.methods import LEARNED_METHODS, require_torch
 from subiaco_evaluation.learned.weights_file import find_weights
 from subiaco_geo.errors import InputError
@@ -43,38 +38,6 @@ ALL_METHODS = (*METHODS, PDAL_METHOD, *LEARNED_METHODS)
 _CAUTION = (
     "The baseline {} knows neither visibility nor objects nor classes. Its confidence is no probability."
 )
-
-
-def prepare_pair(
-    before: SurveyMap, after: SurveyMap, config: BaselineConfig, transform: Floats | None = None
-) -> tuple[Pair, tuple[Finding, ...]]:
-    """Bring two epochs into one frame, as the change stage does, and into cells; also returns findings.
-
-    Parameters
-    ----------
-    before, after : SurveyMap
-    config : BaselineConfig
-    transform : (4, 4) float64, optional
-        Given ``T_after_before`` in world coordinates; without it the epochs
-        are registered by our own registration, once.
-    """
-    before, after, info = check_pair(before, after, config.leaf, aligned=_aligned(transform))
-    clouds = [
-        survey.cloud.with_fields(normals=estimate_normals(survey.cloud.xyz, config.normal_radius))
-        for survey in (before, after)
-    ]
-    if transform is None:
-        registration = register(clouds[0], clouds[1], config.registration)
-    else:
-        method = "identity" if np.array_equal(transform, np.eye(4)) else "given"
-        registration = given_registration(transform, clouds[0], clouds[1], config.registration, method)
-    moved = CommonFrame(registration, clouds[1].origin).bring(clouds[0])
-    return make_pair(moved, clouds[1], registration, config), info.findings
-
-
-def _aligned(transform: Floats | None) -> bool:
-    """Tell whether the coordinates of both epochs are taken as they are."""
-    return transform is None or np.array_equal(transform, np.eye(4))
 
 
 def compare_pair(pair: Pair, method: str, config: BaselineConfig) -> ChangeResult:
