@@ -235,10 +235,13 @@ def test_what_cannot_be_delivered_is_refused_and_leaves_nothing(change_directory
 def test_a_change_directory_without_its_geopackage_is_refused_in_one_line(
     change_directory, tmp_path, capsys, verb
 ):
-    shutil.copytree(change_directory, tmp_path / "copy", ignore=shutil.ignore_patterns("changes.gpkg"))
+    partial = shutil.ignore_patterns("changes.gpkg", "viewer")
+    shutil.copytree(change_directory, tmp_path / "copy", ignore=partial)
+    files = sorted((tmp_path / "copy").rglob("*"))
     words = [verb, str(tmp_path / "copy"), *(["-o", str(tmp_path / "out")] if verb == "deliver" else [])]
     assert run(words) == 2
     assert "changes.gpkg: the file is missing; run 'subiaco change' again" in capsys.readouterr().err
+    assert sorted((tmp_path / "copy").rglob("*")) == files
     assert not (tmp_path / "out").exists()
 
 

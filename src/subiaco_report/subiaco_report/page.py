@@ -114,6 +114,22 @@ MORE = (
 )
 
 
+def read_complete(directory: Path) -> ChangeDirectory:
+    """Read a change directory that holds all that the pages are made of.
+
+    Raises
+    ------
+    InputError
+        The directory is not a complete change directory.
+    """
+    change = read_change_directory(directory)
+    if "object_uid" not in change.table.columns:
+        table = directory / "changes.csv"
+        raise InputError(f"{table}: column object_uid is missing; run 'subiaco change' again")
+    layers_of(directory / "changes.gpkg")  # raises where it is missing
+    return change
+
+
 def build_report(directory: Path) -> Path:
     """(Re)build ``report.html``, ``overview.png`` and ``summary.html`` from a change directory alone.
 
@@ -127,11 +143,7 @@ def build_report(directory: Path) -> Path:
     InputError
         The directory is not a complete change directory.
     """
-    change = read_change_directory(directory)
-    if "object_uid" not in change.table.columns:
-        table = directory / "changes.csv"
-        raise InputError(f"{table}: column object_uid is missing; run 'subiaco change' again")
-    layers_of(directory / "changes.gpkg")  # a missing one is refused before the work
+    change = read_complete(directory)
     changed = changed_rows(change.table)
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from subiaco_change.outputs.change_directory_reading import read_change_directory
 from subiaco_change.outputs.rasters import read_coverage
-from subiaco_report.page import build_report
+from subiaco_report.page import build_report, read_complete
 from subiaco_report.qgis_project import PROJECT, write_project
 from subiaco_report.viewer.build import update_viewer
 
@@ -27,9 +26,9 @@ def write_pages(directory: Path) -> Path:
     InputError
         The directory is not a complete change directory.
     """
+    change = read_complete(directory)  # nothing is written of a directory that the report would refuse
     update_viewer(directory)
     page = build_report(directory)
     if not (directory / PROJECT).exists():
-        change = read_change_directory(directory)
         write_project(directory, change.run["crs"], read_coverage(directory / "coverage.tif").bounds)
     return page
