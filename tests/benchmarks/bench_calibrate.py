@@ -30,7 +30,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.decisions.confidence import Coefficients, ConfidenceConfig
+from subiaco_change.decisions.confidence_config import Coefficients, ConfidenceConfig
 from subiaco_change.pipeline import detect_changes
 from subiaco_evaluation.confidence_fit import BINS, fit_confidence, judged_rows, pair_points
 from subiaco_evaluation.injection.config import InjectionConfig

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.special import expit, logit
 from test_decisions import CONFIG, SAME
 
-from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features
+from subiaco_change.decisions.confidence import confidence, features
+from subiaco_change.decisions.confidence_config import ConfidenceConfig
 from subiaco_change.decisions.rules import decide
 from subiaco_change.objects.known_space import KnownSpace
 from subiaco_change.objects.measures import absence, opacity, pooled, porous_chance

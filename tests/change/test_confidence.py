@@ -9,9 +9,6 @@ import pytest
 from scipy.special import expit
 
 from subiaco_change.decisions.confidence import (
-    FEATURES,
-    Coefficients,
-    ConfidenceConfig,
     calibration_of,
     confidence,
     decided_anew,
@@ -22,6 +19,7 @@ from subiaco_change.decisions.confidence import (
     probability,
     rows_of_pair,
 )
+from subiaco_change.decisions.confidence_config import FEATURES, Coefficients, ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.objects.measures import Measures

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features, paper_score
+from subiaco_change.decisions.confidence import confidence, features, paper_score
+from subiaco_change.decisions.confidence_config import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.rules import decide
 from subiaco_change.objects.measures import Measures

@@ -8,7 +8,7 @@ import pytest
 import rasterio
 from scipy.special import expit
 
-from subiaco_change.decisions.confidence import FEATURES, ConfidenceConfig
+from subiaco_change.decisions.confidence_config import FEATURES, ConfidenceConfig
 from subiaco_change.outputs.rasters import LodRaster
 from subiaco_evaluation.confidence_fit import LEAST, fit_confidence, held_out_errors
 from subiaco_evaluation.injection.calibrate import MapCalibration, MapCalibrationConfig, write_calibration

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from subiaco_change.association.config import AssociationConfig
-from subiaco_change.decisions.confidence import ConfidenceConfig
+from subiaco_change.decisions.confidence_config import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
 from subiaco_change.decisions.plant_measures import PlantConfig

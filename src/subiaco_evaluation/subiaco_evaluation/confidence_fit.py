@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from subiaco_change.decisions.confidence import BANDS, CALIBRATED, FEATURES, Coefficients, kind_of
+from subiaco_change.decisions.confidence import BANDS, kind_of
+from subiaco_change.decisions.confidence_config import CALIBRATED, FEATURES, Coefficients
 from subiaco_change.records import ChangeResult
 from subiaco_change.visibility_evidence import KINDS
 from subiaco_evaluation.object_matching import PointPairs, row_verdicts, together, transfer
@@ -84,7 +85,7 @@ def measured_bands(rows: pd.DataFrame) -> list[dict[str, float | int]]:
     Returns
     -------
     list of dict
-        Those of :class:`~subiaco_change.decisions.confidence.MeasuredBand`; a band without rows is left out.
+        Fields of ``confidence_config.MeasuredBand``; a band without rows is left out.
     """
     changed = rows[rows["kind"] != "unchanged"]
     if len(changed) == 0:
@@ -111,7 +112,7 @@ def fit_confidence(
 
     A kind without rows keeps the shipped model. Of the kinds of evidence, those are named that were right as
     often as their confidences said on surveys left out of the fit. ``clouds``: see
-    :class:`~subiaco_change.decisions.confidence.ConfidenceConfig`.
+    :class:`~subiaco_change.decisions.confidence_config.ConfidenceConfig`.
     """
     models = {}
     for kind, part in rows.groupby("kind"):

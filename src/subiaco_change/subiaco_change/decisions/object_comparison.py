@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from subiaco_change.association.matching import Match, associate
-from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, features, paper_score
+from subiaco_change.decisions.confidence import confidence, features, paper_score
+from subiaco_change.decisions.confidence_config import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence

@@ -136,7 +136,7 @@ class ColumnVolumesNumbers(StrictModel):
 
 
 class ConfidenceNumbers(StrictModel):
-    """Numbers of ``decisions/confidence.py``."""
+    """Numbers of ``decisions/confidence.py`` and ``confidence_config.py``."""
 
     score_height_sigma: float = Field(0.10, description="Scale of the height term in the paper's score [m]")
     score_volume_sigma: float = Field(

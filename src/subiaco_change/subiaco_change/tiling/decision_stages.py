@@ -18,7 +18,8 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.association.config import AssociationConfig
 from subiaco_change.config import ChangeConfig
-from subiaco_change.decisions.confidence import ConfidenceConfig, decided_anew
+from subiaco_change.decisions.confidence import decided_anew
+from subiaco_change.decisions.confidence_config import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.object_comparison import compare_objects, log_ratio, make_record
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
