@@ -565,6 +565,12 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("measures.carving.room",),
     ),
     Rule(
+        "inside_of_buildings",
+        _HERE,
+        "What is free between walls on all sides is the inside of a building, seen through its windows.",
+        (),
+    ),
+    Rule(
         "thin_volumes",
         _HERE,
         "A change of volume thinner than two cells is noise of surfaces.",

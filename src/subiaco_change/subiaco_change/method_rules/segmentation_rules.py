@@ -86,6 +86,17 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "parked_rows",
+        _HERE,
+        "In a row of parked vehicles each line of cells along the street ends at both ends of a vehicle; that"
+        " of a trail goes on.",
+        (
+            "method_numbers.trail_swaths.shortest_parked",
+            "method_numbers.trail_swaths.longest_parked",
+            "method_numbers.trail_swaths.narrowest_parked",
+        ),
+    ),
+    Rule(
         "trails_by_shape",
         _HERE,
         "In a cloud without beams, a swath as wide as a vehicle, many times as long and filled from side to"

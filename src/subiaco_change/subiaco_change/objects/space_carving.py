@@ -5,7 +5,8 @@ The envelope of an object in both epochs is cut into cells. In each epoch a cell
 * *solid*: below the highest surface that the epoch has in its column, or behind two walls that the other
   epoch does not have, with nothing but unknown cells between,
   and not seen free: below a canopy is nothing solid,
-* *free*: beams of the epoch passed through it, or met the ground in its column,
+* *free*: beams of the epoch passed through it, or met the ground in its column, and its own walls are not
+  all around it: through a window the inside of a house is seen,
 * *unknown*: everything else.
 
 Gained is what was free in *before* and is solid in *after*, lost the reverse. Cells that one epoch knows
@@ -153,8 +154,8 @@ class _State:
     """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none.
 
     ``not_refuted`` (nx, ny) is the top of what the other epoch has above it and it did not see free [m].
-    ``hollow`` lies below a top and was seen free: below a canopy, or behind a window. It is neither
-    solid nor known to be outside.
+    ``hollow`` was seen free below a top or between walls on all sides: below a canopy, or behind a window. It
+    is neither solid nor known to be outside.
     """
 
     solid: Cells
@@ -228,16 +229,34 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
+    walls = other.select(~other.observed_unoccupied & (np.abs(other.normal[:, 2]) <= _LEVEL))
+    tallest = np.maximum.reduce([top, not_refuted, _tops(walls, frame)])
+    inside = _inside(below, np.arange(nz) <= frame.level(tallest)[:, :, None])
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         sky = free | ((top > 0)[:, :, None] & ~below)
-        return _State(below, sky, np.zeros_like(below), top, not_refuted)
+        return _State(below, sky & ~inside, sky & inside, top, not_refuted)
     ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
     height = frame.foot.ravel()[column] + frame.levels[level]
     free[ask] = epoch.empty(np.column_stack([middles[column], height]))
-    hollow = free & below
-    return _State(below & ~hollow, free & ~below, hollow, top, not_refuted)
+    hollow = free & (below | inside)
+    return _State(below & ~hollow, free & ~hollow, hollow, top, not_refuted)
+
+
+@switchable("inside_of_buildings", none_like_second)
+def _inside(below: Cells, walls: Cells) -> Cells:
+    """Tell which cells that are not below tops have walls in all four directions: the inside of a house.
+
+    Beams reach it through windows, and meet the floor. A yard that is open at one side is outside. Walls of
+    the other epoch count where they may have stood.
+    """
+    nothing = np.zeros_like(walls)
+    around = ~below
+    for axis in (0, 1):
+        around &= _follows(walls, nothing, axis)
+        around &= np.flip(_follows(np.flip(walls, axis), nothing, axis), axis)
+    return around
 
 
 @switchable("cells_beside_surfaces", none_like_second)

@@ -14,12 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import first_argument, switchable, zeros_of_them
+from subiaco_change.method_rules.switches import first_argument, rule_mask, switchable, zeros_of_them
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, Raster, TrailShapeConfig, limited
@@ -29,6 +30,9 @@ _DIRECTIONS = NUMBERS.trail_swaths.directions
 _VEHICLE = NUMBERS.trail_swaths.vehicle_area
 _PART = NUMBERS.trail_swaths.part_area
 _TALLER = NUMBERS.trail_swaths.taller
+_SHORTEST = NUMBERS.trail_swaths.shortest_parked
+_LONGEST = NUMBERS.trail_swaths.longest_parked
+_NARROWEST = NUMBERS.trail_swaths.narrowest_parked
 _REACH = NUMBERS.thin_trails.thickness_radius
 _LEAST = NUMBERS.thin_trails.fewest_points
 _SAMPLE = NUMBERS.thin_trails.thickness_places
@@ -56,7 +60,8 @@ def find_swaths(raster: Raster, config: TrailShapeConfig) -> tuple[Floats, Mask]
     """Return the probability of the cells (rows, columns) of swaths, and all wide bodies."""
     cells = np.zeros(raster.ground.shape)
     wide = ndimage.binary_opening(ndimage.binary_closing(raster.body, AROUND), AROUND)
-    axis = ndimage.binary_dilation(_axis(raster.body, config), AROUND, 2)
+    axis, parked = _axis(raster.body, config)
+    axis = ndimage.binary_dilation(axis, AROUND, 2)
     labels, _ = ndimage.label(wide, AROUND)
     rim = int(np.ceil(config.beside / config.cell))
     for number, found in enumerate(ndimage.find_objects(labels), 1):
@@ -66,6 +71,7 @@ def find_swaths(raster: Raster, config: TrailShapeConfig) -> tuple[Floats, Mask]
         swath = _measure(labels[window] == number, wide[window], raster, window, config)
         if swath is not None:
             chance = _by_parts(swath, axis[window], raster, config)
+            chance[ndimage.binary_dilation(parked[window], AROUND)] = 0.0
             np.copyto(cells[window], chance, where=swath.cells)
     return cells, wide
 
@@ -90,25 +96,51 @@ def with_edges(cells: Floats, wide: Mask, body: Mask, config: TrailShapeConfig) 
     return np.asarray(found)
 
 
-def _axis(body: Mask, config: TrailShapeConfig) -> Mask:
-    """Tell from which cells (rows, columns) bodies go on nearly without a gap, forth and back along a line.
+def _axis(body: Mask, config: TrailShapeConfig) -> tuple[Mask, Mask]:
+    """Tell from which cells (rows, columns) bodies go on along a line, and which stand one behind the other.
 
-    A parked vehicle that touches a trail is shorter than the line, and is left out.
+    From an axis they go on nearly without a gap, forth and back. A parked vehicle that touches a trail is
+    shorter than the line, and is left out. So is one of a row of parked vehicles, of which the rows of cells
+    along the street end at both its ends.
     """
     half = max(round(config.run / config.cell), 1)
     steps = np.arange(-half, half + 1)
     padded = np.pad(body, half)
-    rows, columns = body.shape
     found = np.zeros(body.shape, dtype=np.bool_)
+    parked = np.zeros(body.shape, dtype=np.bool_)
+    most = np.zeros(body.shape, dtype=np.float32)
     for angle in np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS:
         line = np.rint(steps[:, None] * np.array([np.cos(angle), np.sin(angle)])).astype(np.int64)
-        before, after = (tuple(line[half + step]) for step in (-1, 1))
-        closed = padded | (np.roll(padded, before, (0, 1)) & np.roll(padded, after, (0, 1)))
-        held = [np.zeros(body.shape, dtype=np.int16) for _ in range(2)]
-        for place, (row, column) in enumerate(line + half):
-            held[int(place > half)] += closed[row : row + rows, column : column + columns]
-        found |= np.minimum(held[0] - 1, held[1]) >= config.run_share * half
-    return found
+        held, run = _along(padded, line, half)
+        goes_on = np.minimum(held[0] - 1, held[1]) >= config.run_share * half
+        found |= goes_on
+        along = ndimage.uniform_filter(goes_on.astype(np.float32), 4 * half + 1)
+        length = run.sum(axis=0) * config.cell
+        ends = (run[0] <= half) & (run[1] < half) & (length >= _SHORTEST) & (length <= _LONGEST)
+        parked = np.where(along > most, ends, parked)
+        most = np.maximum(most, along)
+    parked = rule_mask("parked_rows", parked & body)
+    wide = max(round(_NARROWEST / config.cell), 1)
+    return found & ~parked, ndimage.binary_opening(parked, np.ones((wide, wide)))
+
+
+def _along(padded: Mask, line: Ints, half: int) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+    """Count cells of bodies along a line from every cell: all, and those before the first gap.
+
+    Gaps of one cell are closed. Both counts (2, rows, columns) are back, the cell itself included, and forth.
+    """
+    rows, columns = (size - 2 * half for size in padded.shape)
+    before, after = (tuple(line[half + step]) for step in (-1, 1))
+    closed = padded | (np.roll(padded, before, (0, 1)) & np.roll(padded, after, (0, 1)))
+    held, run = np.zeros((2, 2, rows, columns), dtype=np.int16)
+    for side, way in enumerate((line[half::-1], line[half + 1 :])):
+        unbroken = np.ones((rows, columns), dtype=np.bool_)
+        for row, column in way + half:
+            here = closed[row : row + rows, column : column + columns]
+            held[side] += here
+            unbroken &= here
+            run[side] += unbroken
+    return held, run
 
 
 def _measure(
