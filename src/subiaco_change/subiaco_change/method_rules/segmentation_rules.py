@@ -226,6 +226,12 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ("semantics.vehicles.overhang", "semantics.vehicles.top_band"),
     ),
     Rule(
+        "cabins",
+        _HERE,
+        "A plant of the size of a car that fills the rectangle around it and has a smaller roof is a car.",
+        ("semantics.vehicles.cabin_fill", "semantics.vehicles.cabin_share"),
+    ),
+    Rule(
         "edges_of_vehicles",
         _HERE,
         "Rough points in the box around the smooth points of a vehicle are its edges, not leaves.",

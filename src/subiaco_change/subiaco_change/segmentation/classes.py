@@ -29,7 +29,13 @@ from subiaco_change.segmentation.raised_ground import raised_ground
 from subiaco_change.segmentation.raised_surfaces import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.segmentation.superpoints import SuperpointConfig, partition
 from subiaco_change.segmentation.trail_raster import TrailShapeConfig
-from subiaco_change.segmentation.vehicles import free_boxes, ground_boxes, release_false_vehicles, with_edges
+from subiaco_change.segmentation.vehicles import (
+    free_boxes,
+    ground_boxes,
+    release_false_vehicles,
+    with_cabins,
+    with_edges,
+)
 from subiaco_change.segmentation.wires_and_poles import LineConfig, find_lines
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
@@ -311,7 +317,7 @@ def _split_rest(
             semantic[mine] = kind
             settled[mine] = True
     semantic[~settled] = _vote_clusters(xyz[~settled], height[~settled], semantic[~settled], config)
-    return semantic
+    return with_cabins(xyz, height, semantic, config.vehicles)
 
 
 def _vote_clusters(

@@ -309,6 +309,19 @@ class VehicleConfig(StrictModel):
         gt=0,
         description="Height of the uppermost band whose width is compared with the width of the body [m]",
     )
+    cabin_fill: float = Field(
+        0.65,
+        gt=0,
+        le=1,
+        description="Smallest fraction of the rectangle around a soft body that a car fills, seen from above",
+    )
+    cabin_share: float = Field(
+        0.75,
+        gt=0,
+        le=1,
+        description="Area of the uppermost band of a soft body, as a fraction of the area of the body, below "
+        "which the band is the roof of a car",
+    )
     leafy: float = Field(
         0.4,
         gt=0,

@@ -220,6 +220,37 @@ def _classes_as_they_are(
     return semantic
 
 
+@switchable("cabins", _classes_as_they_are)
+def with_cabins(
+    xyz: Floats, height: Floats, semantic: NDArray[np.uint8], config: VehicleConfig
+) -> NDArray[np.uint8]:
+    """Give plants of the size of a car, and with a cabin, the class of vehicles.
+
+    Beams pass through windows and meet seats: sampled sparsely, a car is as rough as a shrub. But a car
+    fills the rectangle around it, and its roof is much smaller than its body. A hedge is as wide at its top,
+    and what narrows upwards like a shrub is round.
+    """
+    low = (height > config.split_band) & (height < config.mobile_top)
+    plants = np.flatnonzero((semantic == Semantic.VEGETATION) & low)
+    completed = semantic.copy()
+    if len(plants):
+        for group in group_indices(cell_clusters(xyz[plants, :2], config.split_gap)):
+            mine = plants[group]
+            if _is_car_sized(xyz[mine], height[mine], config) and _has_cabin(xyz[mine], height[mine], config):
+                completed[mine] = Semantic.MOBILE
+    return completed
+
+
+def _has_cabin(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
+    """Tell a body that fills the rectangle around it, seen from above, and that has a smaller roof."""
+    roof = height > quantile_of(height, 0.98) - config.top_band
+    cells = np.floor(box_coordinates(xyz[:, :2]) / config.split_gap).astype(np.int64)
+    body, top = (len(np.unique(places, axis=0)) for places in (cells, cells[roof]))
+    length, width = box_sides(xyz[:, :2])
+    filled = body * config.split_gap**2 > config.cabin_fill * length * width
+    return bool(filled and top < config.cabin_share * body)
+
+
 @switchable("edges_of_vehicles", _classes_as_they_are)
 def with_edges(
     xyz: Floats, height: Floats, semantic: NDArray[np.uint8], moving: Mask, config: VehicleConfig
@@ -301,7 +332,7 @@ def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bo
     top = quantile_of(height, 0.98)
     low = quantile_of(height, 0.02)
     row_of_cars = 1.4 < width < 3.2 and top < 2.4
-    car = config.car_length < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2
+    car = _is_car_sized(xyz, height, config)
     return bool(
         hard > (0.5 * config.mobile_hard if car else config.mobile_hard)
         and width > config.mobile_min_width
@@ -311,3 +342,10 @@ def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bo
         and low < 0.8
         and length * width * top < config.mobile_volume
     )
+
+
+def _is_car_sized(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
+    """Tell what is as long, as wide and as high as a car."""
+    length, width = box_sides(xyz[:, :2])
+    top = quantile_of(height, 0.98)
+    return bool(config.car_length < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2)
