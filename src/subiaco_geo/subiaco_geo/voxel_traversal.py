@@ -86,7 +86,7 @@ def _touch(
 
 
 @numba.njit(cache=True)
-def _walk(  # noqa: C901, PLR0915
+def _walk(  # noqa: C901, PLR0912, PLR0915
     starts: Floats, ends: Floats, returned: Flags, first: int, blocks: int, index: Ints, used: Ints,
     counts: Counts, states: Rows, marked: Flags, window: int, least: int, longest: int,
 ) -> int:  # fmt: skip
