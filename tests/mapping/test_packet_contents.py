@@ -43,6 +43,6 @@ def test_every_value_equals_that_of_the_sdk(shared_data: Path, sensor: str) -> N
 def test_the_sdk_reads_packets_in_which_a_value_has_no_known_place(
     shared_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bufs, metadata = recorded(shared_data, "dual")
+    _, metadata = recorded(shared_data, "dual")
     monkeypatch.setattr("subiaco_mapping.preprocessing.packet_contents._SHIFTS", range(8, 9))
     assert contents(metadata).places is None

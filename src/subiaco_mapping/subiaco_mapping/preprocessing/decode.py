@@ -395,7 +395,8 @@ class PacketDecoder:
         self.counts.bad_stamps += bad
         utc_ns = self._utc(times_ns)
         sent = np.flatnonzero(self._layout.expected)
-        second = self._returns(frame, "RANGE2", "REFLECTIVITY2", utc_ns) if "RANGE2" in self._layout.names else None
+        two = "RANGE2" in self._layout.names
+        second = self._returns(frame, "RANGE2", "REFLECTIVITY2", utc_ns) if two else None
         return Scan(
             start_ns=int(utc_ns[sent[0]]),
             end_ns=int(utc_ns[sent[-1]]),
@@ -411,10 +412,10 @@ class PacketDecoder:
         """Return the points of one return; ranges are in millimetres in the packet."""
         distance, intensity = self._field(frame, range_name), self._field(frame, intensity_name)
         near, far = self._config.min_range * 1e3, self._config.max_range * 1e3
-        measured = _measured(
+        xyz, when, value, ring, column = _measured(
             distance, intensity, times_ns, near, far, self._layout.direction, self._layout.offset
         )
-        return Returns(*measured, times_ns)
+        return Returns(xyz, when, value, ring, column, times_ns)
 
     def _field(self, frame: _Frame, name: str) -> NDArray[np.uint32]:
         """Return a field (H, W), zeros where the sensor does not send it."""

@@ -197,7 +197,7 @@ def _within(xyz: Floats, limit: float) -> NDArray[np.bool_]:
 def _packed(
     xyz: Floats, intensity: NDArray[np.float32], keep: NDArray[np.bool_], step: float
 ) -> NDArray[np.int16]:
-    """Return the kept points as rows (M, 4) of 16 bits: coordinates in steps, and intensity without a sign."""
+    """Return the kept points as rows (M, 4) of 16 bits: coordinates in steps, intensity unsigned."""
     packed, n = np.empty((keep.sum(), 4), np.int16), 0
     for i in range(len(xyz)):
         if keep[i]:
