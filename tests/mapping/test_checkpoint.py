@@ -219,7 +219,7 @@ def test_a_recording_whose_scans_a_power_cut_took_is_read_again(
     assert reads == []  # what a killed run left while fusing is none of its scans
     interrupted(bag, checkpoint)
     reads.clear()
-    scan = next(path for path in sorted((checkpoint / "000").glob("*.npy")) if path.stat().st_size)
+    scan = next(path for path in sorted((checkpoint / "000").glob("*.scan")) if path.stat().st_size)
     scan.write_bytes(b"")
     pipeline.map_survey([bag], CONFIG, checkpoint=checkpoint, resume=True)
     assert reads == ["room"]

@@ -62,7 +62,9 @@ def transform_points(pose: ArrayLike, points: ArrayLike) -> Floats:
     pts = np.asarray(points, dtype=np.float64)
     if pts.ndim != 2 or pts.shape[1] != 3:
         raise InputError(f"points must have shape (N, 3), got {pts.shape}")
-    return np.asarray(pts @ pose_array[:3, :3].T + pose_array[:3, 3])
+    moved = np.asarray(pts @ pose_array[:3, :3].T)
+    moved += pose_array[:3, 3]
+    return moved
 
 
 def exp_se3(twist: ArrayLike) -> Floats:

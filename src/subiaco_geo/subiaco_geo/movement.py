@@ -182,11 +182,11 @@ def _windows_beside(keys, first, last, single, thin):  # type: ignore[no-untyped
     None where more than ``thin`` voxels within two cells at its height were hit in the middle of that run.
     """
     added = np.zeros(len(keys), dtype=np.int64)
-    near = np.empty(9, dtype=np.int64)
+    near, places = np.empty(9, dtype=np.int64), np.zeros(25, dtype=np.int64)
     for i in range(len(keys)):
         if not single[i]:
             continue
-        number, wide = _neighbours(keys, i, first, last, single, near)
+        number, wide = _neighbours(keys, i, first, last, single, near, places)
         if wide > thin:
             continue
         begin, end, grows = first[i], last[i], True
@@ -200,16 +200,21 @@ def _windows_beside(keys, first, last, single, thin):  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True)
-def _neighbours(keys, i, first, last, single, near):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _neighbours(keys, i, first, last, single, near, places):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Write voxels of one run beside a voxel to ``near`` (9,); return their number, and how many were hit.
 
-    The latter are counted within two cells at its height, in the middle of its run.
+    The latter are counted within two cells at its height, in the middle of its run. ``places`` (25,) are
+    where the neighbours of an earlier voxel lay or would lie in the sorted keys.
     """
     number, wide, middle = 0, 0, (first[i] + last[i]) // 2
     for dx in range(-2, 3):
         for dy in range(-2, 3):
             key = keys[i] + (dx << 42) + (dy << 21)
-            j = np.searchsorted(keys, key)
+            column = 5 * (dx + 2) + dy + 2
+            j = places[column]
+            while j < len(keys) and keys[j] < key:
+                j += 1
+            places[column] = j
             if j < len(keys) and keys[j] == key:
                 wide += first[j] <= middle <= last[j]
                 if single[j] and abs(dx) < 2 and abs(dy) < 2:

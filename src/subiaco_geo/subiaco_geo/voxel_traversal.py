@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numba
@@ -24,8 +25,6 @@ from subiaco_geo.visibility import VisibilityGrid
 from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
 
 _CACHE_LINE = 64  # [bytes]
-_CELL = np.dtype([("hits", np.uint32), ("passes", np.uint32)])
-_TIMED_CELL = np.dtype([*_CELL.descr, ("looks", np.uint16, (COLUMNS + 1,))])  # one to align
 _BATCH = (1 << 16) - 1  # most beams that are traced together: a cell counts them in 16 bits
 
 _BITS = 2  # an axis: 4 x 4 x 4 voxels in a block
@@ -35,7 +34,6 @@ _INSIDE = (_LAST << 42) | (_LAST << 21) | _LAST  # bits of a key that tell the p
 
 Counts = NDArray[np.uint32]
 Flags = NDArray[np.bool_]
-Places = NDArray[np.uint64]
 
 
 @numba.njit(cache=True)
@@ -45,13 +43,13 @@ def _place(key: int) -> int:
 
 
 @numba.njit(cache=True)
-def _first_cell(index: Ints, used: Ints, block: int) -> int:
-    """Return the first cell of a block, which is given the next free ones where it is new."""
+def _block_number(index: Ints, used: Ints, block: int) -> int:
+    """Return the number of a block, which is given the next free one where it is new."""
     slot = find_slot(index, block)
     if index[slot, 0] == EMPTY:
         index[slot, 0], index[slot, 1] = block, used[0]
         used[0] += 1
-    return index[slot, 1] * _CELLS
+    return index[slot, 1]
 
 
 def _in_order(index: Ints, count: int) -> Ints:
@@ -64,7 +62,7 @@ def _in_order(index: Ints, count: int) -> Ints:
 
 @numba.njit(cache=True)
 def _touch(
-    points: Floats, first: int, blocks: int, index: Ints, used: Ints, looks: Rows, window: int, least: int
+    points: Floats, first: int, blocks: int, index: Ints, used: Ints, states: Rows, window: int, least: int
 ) -> int:
     """Count a hit window at the voxels of points (voxel units) until done or all blocks are used."""
     last, fresh = np.int64(EMPTY), 0
@@ -78,9 +76,9 @@ def _touch(
             first = i
             break
         last = key
-        cell = np.uint64(_first_cell(index, used, key & ~_INSIDE) + _place(key))
-        fresh += looks[cell, 0] == 0
-        count_return(looks, cell, window, least)
+        block, place = _block_number(index, used, key & ~_INSIDE), _place(key)
+        fresh += states[block, 0, place] == 0
+        count_return(states[block], place, window, least)
     else:
         first = len(points)
     used[1] += fresh
@@ -90,7 +88,7 @@ def _touch(
 @numba.njit(cache=True)
 def _walk(  # noqa: C901, PLR0912, PLR0915
     starts: Floats, ends: Floats, returned: Flags, first: int, blocks: int, index: Ints, used: Ints,
-    hits: Counts, passes: Counts, batch: Rows, looks: Rows, window: int, least: int, longest: int,
+    counts: Counts, states: Rows, marked: Flags, window: int, least: int, longest: int,
 ) -> int:  # fmt: skip
     """Walk beams (voxel units) from index ``first`` until done or all blocks may be used; return the next.
 
@@ -99,11 +97,11 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
     Amanatides and Woo (1987), with the number of steps fixed beforehand on
     every axis, so that rounding can never walk past the end voxel. The keys on a beam come first, then
     their cells: in one loop, every wrong guess of the processor about a step would wait for the memory.
-    Beams are counted in ``batch`` first, as many of them cross the same voxels.
+    Beams are counted in the last row of ``states`` first, as many of them cross the same voxels.
     """
-    path = np.empty(longest, np.int64)
-    met, number = np.empty(1 << 16, np.uint64), 0
-    last, hit = np.empty(min(len(starts) - first, _BATCH), np.uint64), 0
+    path, batch = np.empty(longest, np.int64), states.shape[1] - 1
+    met, number = np.empty(blocks + 1, np.int64), 0
+    last, hit = np.empty((min(len(starts) - first, _BATCH), 2), np.int64), 0
     cell, left, step = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
     t_next, t_delta = np.empty(3), np.empty(3)
     ray, filled = first, used[0]
@@ -143,10 +141,7 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
                 key += dz
                 nz -= 1
                 tz = tz + t_delta[2] if nz > 0 else np.inf
-        if number + steps + 1 > len(met):
-            met = np.concatenate((met, np.empty(len(met) + steps + 1, np.uint64)))
-        crossed = steps if returned[ray] else steps + 1
-        block, base = np.int64(EMPTY), np.int64(0)
+        block, own, place = np.int64(EMPTY), np.uint64(0), np.uint64(0)
         for i in range(steps + 1):
             key = path[i]
             if key & ~_INSIDE != block:
@@ -155,87 +150,103 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
                 if index[slot, 0] == EMPTY:
                     index[slot, 0], index[slot, 1] = block, filled
                     filled += 1
-                base = index[slot, 1] * _CELLS
-            at = np.uint64(base + _place(key))
-            if i < crossed:
-                met[number] = at
-                number += batch[at] == 0
-                batch[at] += 1
-            else:
-                last[hit] = at
-                hit += 1
+                own = np.uint64(index[slot, 1])
+                met[number] = index[slot, 1]
+                number += not marked[own]
+                marked[own] = True
+            place = np.uint64(_place(key))
+            states[own, batch, place] += np.uint16(1)
+        if returned[ray]:
+            states[own, batch, place] -= np.uint16(1)
+            last[hit, 0], last[hit, 1] = own, place
+            hit += 1
         ray += 1
     used[0] = filled
-    used[1] += _count_passes(met[:number], hits, passes, batch, looks, window, least)
-    used[1] += _count_returns(last[:hit], hits, passes, looks, window, least)
+    used[1] += _count_passes(met[:number], counts, states, marked, window, least)
+    used[1] += _count_returns(last[:hit], counts, states, window, least)
     return ray
 
 
 @numba.njit(cache=True)
-def _count_passes(
-    met: Places, hits: Counts, passes: Counts, batch: Rows, looks: Rows, window: int, least: int
-) -> int:
-    """Count the beams of a batch that went through cells; return how many cells are new."""
-    fresh = 0
-    for at in met:
-        new = (hits[at] | passes[at]) == 0
-        passes[at] += batch[at]
+def _count_passes(met: Ints, counts: Counts, states: Rows, marked: Flags, window: int, least: int) -> int:
+    """Count the beams of a batch that went through the cells of blocks; return how many cells are new."""
+    fresh, batch = 0, states.shape[1] - 1
+    for block in met:
+        for i in range(_CELLS):
+            beams = states[block, batch, i]
+            new = (beams > 0) & ((counts[block, 0, i] | counts[block, 1, i]) == 0)
+            fresh += new & (states[block, 0, i] == 0) if window else new
+            counts[block, 1, i] += beams
         if window:
-            new &= looks[at, 0] == 0
-            count_passing(looks, at, window, least, np.int64(batch[at]))
-        batch[at] = 0
+            count_passing(states[block], window, least)
+        else:
+            states[block, batch] = 0
+        marked[block] = False
+    return fresh
+
+
+@numba.njit(cache=True)
+def _count_returns(last: Ints, counts: Counts, states: Rows, window: int, least: int) -> int:
+    """Count the beams that returned from cells (N, 2); return how many cells are new."""
+    fresh = 0
+    for k in range(len(last)):
+        block, place = last[k]
+        new = (counts[block, 0, place] | counts[block, 1, place]) == 0
+        counts[block, 0, place] += np.uint32(1)
+        if window:
+            new &= states[block, 0, place] == 0
+            count_return(states[block], place, window, least)
         fresh += new
     return fresh
 
 
 @numba.njit(cache=True)
-def _count_returns(last: Places, hits: Counts, passes: Counts, looks: Rows, window: int, least: int) -> int:
-    """Count the beams that returned from cells; return how many cells are new."""
-    fresh = 0
-    for at in last:
-        new = (hits[at] | passes[at]) == 0
-        hits[at] += 1
-        if window:
-            new &= looks[at, 0] == 0
-            count_return(looks, at, window, least)
-        fresh += new
-    return fresh
-
-
-@numba.njit(cache=True)
-def _collect(index: Ints, used: Ints, hits: Counts, passes: Counts, looks: Rows, timed: bool) -> Ints:
+def _collect(index: Ints, used: Ints, counts: Counts, states: Rows, timed: bool) -> Ints:
     """Return keys and cells (2, N) of the voxels at which something was counted."""
     found, n = np.empty((2, used[1]), np.int64), 0
     for slot in range(len(index)):
         if index[slot, 0] == EMPTY:
             continue
+        block = index[slot, 1]
         for place in range(_CELLS):
-            cell = index[slot, 1] * _CELLS + place
-            if (hits[cell] | passes[cell]) > 0 or (timed and looks[cell, 0] > 0):
+            counted = (counts[block, 0, place] | counts[block, 1, place]) > 0
+            if counted or (timed and states[block, 0, place] > 0):
                 found[0, n] = (
                     index[slot, 0]
                     | (place >> 2 * _BITS) << 42
                     | ((place >> _BITS) & _LAST) << 21
                     | place & _LAST
                 )
-                found[1, n] = cell
+                found[1, n] = block * _CELLS + place
                 n += 1
     return found
 
 
 @numba.njit(cache=True)
-def _put(keys: Ints, rows: Rows, index: Ints, used: Ints, looks: Rows) -> None:
+def _rows_of(states: Rows, cells: Ints) -> Rows:
+    """Return the running states (N, COLUMNS) of cells (N,)."""
+    rows = np.empty((len(cells), COLUMNS), np.uint16)
+    for i in range(len(cells)):
+        block, place = divmod(cells[i], _CELLS)
+        for column in range(COLUMNS):
+            rows[i, column] = states[block, column, place]
+    return rows
+
+
+@numba.njit(cache=True)
+def _put(keys: Ints, rows: Rows, index: Ints, used: Ints, states: Rows) -> None:
     """Write the looks of voxels, none of them there yet; there must be room."""
     for i in range(len(keys)):
-        looks[_first_cell(index, used, keys[i] & ~_INSIDE) + _place(keys[i]), : rows.shape[1]] = rows[i]
+        block, place = _block_number(index, used, keys[i] & ~_INSIDE), _place(keys[i])
+        states[block, :COLUMNS, place] = rows[i]
     used[1] += len(keys)
 
 
-def _aligned(size: int, kind: np.dtype[Any]) -> NDArray[Any]:
-    """Return zeroed rows that begin on a border of the cache."""
-    raw = np.zeros(size * kind.itemsize + _CACHE_LINE, dtype=np.uint8)
+def _aligned(shape: tuple[int, ...], kind: type[np.generic]) -> NDArray[Any]:
+    """Return a zeroed array that begins on a border of the cache."""
+    raw = np.zeros(math.prod(shape) * np.dtype(kind).itemsize + _CACHE_LINE, dtype=np.uint8)
     first = -raw.ctypes.data % _CACHE_LINE
-    return np.asarray(raw[first : first + size * kind.itemsize].view(kind))
+    return np.asarray(raw[first : first + len(raw) - _CACHE_LINE].view(kind).reshape(shape))
 
 
 @numba.njit(cache=True)
@@ -271,8 +282,8 @@ def _in_voxels(name: str, points: Floats, origin: Floats, voxel: float) -> Float
 class VisibilityAccumulator:
     """Counts hits and passes of many batches of beams in blocks of voxels that a growing hash table finds.
 
-    All of a voxel lies side by side, and so do the voxels of a block: what a beam and its neighbours count
-    stays in the caches.
+    The voxels of a block lie side by side: what a beam and its neighbours count stays in the caches, and the
+    beams of a batch are entered block by block, many voxels in one instruction.
 
     Parameters
     ----------
@@ -306,23 +317,21 @@ class VisibilityAccumulator:
 
     def _allocate(self, blocks: int) -> None:
         """Make room for blocks, a power of two; their table stays half empty."""
-        self._cells = _aligned(blocks * _CELLS, _CELL if self._least == 0 else _TIMED_CELL)
-        self._hits: Counts = self._cells["hits"]
-        self._passes: Counts = self._cells["passes"]
-        looks = self._cells["looks"] if self._least else np.zeros((1, 2 * COLUMNS), dtype=np.uint16)[:, ::2]
-        self._looks: Rows = looks[:, :COLUMNS]
-        self._batch = np.zeros(len(self._cells), dtype=np.uint16)
+        self._counts: Counts = _aligned((blocks, 2, _CELLS), np.uint32)
+        self._states: Rows = _aligned((blocks, COLUMNS + 1 if self._least else 1, _CELLS), np.uint16)
+        self._marked: Flags = np.zeros(blocks, dtype=np.bool_)
         self._index = empty_table(2 * blocks)
 
     @property
     def _blocks(self) -> int:
-        return len(self._cells) // _CELLS
+        return len(self._marked)
 
     def _grow(self, blocks: int) -> None:
-        cells, index = self._cells, self._index
+        counts, states, index = self._counts, self._states, self._index
+        used = int(self._used[0])
         self._allocate(1 << int(np.ceil(np.log2(blocks))))
-        self._cells[: self.cells] = cells[: self.cells]
-        enter_keys(_in_order(index, int(self._used[0])), self._index)
+        self._counts[:used], self._states[:used] = counts[:used], states[:used]
+        enter_keys(_in_order(index, used), self._index)
 
     def touch(self, points: Floats, window: int) -> None:
         """Count a window in which something returned from the voxels of points (N, 3) [m, world].
@@ -335,7 +344,7 @@ class VisibilityAccumulator:
         done = 0
         while True:
             done = _touch(
-                units, done, self._blocks, self._index, self._used, self._looks, window, self._least
+                units, done, self._blocks, self._index, self._used, self._states, window, self._least
             )
             if done == len(units):
                 return
@@ -364,7 +373,7 @@ class VisibilityAccumulator:
         while ray < len(starts):
             ray = _walk(
                 first_cell, last_cell, flags, ray, self._blocks, self._index, self._used,
-                self._hits, self._passes, self._batch, self._looks, window, self._least, longest,
+                self._counts, self._states, self._marked, window, self._least, longest,
             )  # fmt: skip
             if self._used[0] + longest > self._blocks:
                 self._grow(self._blocks + max(self._blocks, longest))
@@ -381,12 +390,12 @@ class VisibilityAccumulator:
         ``window`` is the number of the next window; from there on windows are numbered ``shift`` less.
         """
         keys, cells = self._collected()
-        kept, rows = pending_rows(self._looks[cells], self._least, window, shift)
+        kept, rows = pending_rows(_rows_of(self._states, cells), self._least, window, shift)
         blocks = len(np.unique(keys[kept] & ~_INSIDE))
         fresh = VisibilityAccumulator(
-            self.origin, self.voxel, max(len(self._cells), blocks * _CELLS), self._least
+            self.origin, self.voxel, max(self._blocks, blocks) * _CELLS, self._least
         )
-        _put(keys[kept], rows, fresh._index, fresh._used, fresh._looks)
+        _put(keys[kept], rows, fresh._index, fresh._used, fresh._states)
         return fresh
 
     def grid(self) -> VisibilityGrid:
@@ -395,18 +404,20 @@ class VisibilityAccumulator:
 
     def looks(self) -> VoxelObservations:
         """Return the looks at every voxel, in the order of :meth:`grid`."""
-        return looks_of(self._looks[self._ordered()[1]], self._least)
+        return looks_of(_rows_of(self._states, self._ordered()[1]), self._least)
 
     def grid_and_looks(self) -> tuple[VisibilityGrid, VoxelObservations]:
         """Return :meth:`grid` and :meth:`looks`, the order of the voxels found once."""
         keys, cells = self._ordered()
-        return self._grid(keys, cells), looks_of(self._looks[cells], self._least)
+        return self._grid(keys, cells), looks_of(_rows_of(self._states, cells), self._least)
 
     def _grid(self, keys: Ints, cells: Ints) -> VisibilityGrid:
-        return VisibilityGrid(self.origin, self.voxel, keys, self._hits[cells], self._passes[cells])
+        block, place = cells // _CELLS, cells % _CELLS
+        hits, passes = (self._counts[block, row, place] for row in range(2))
+        return VisibilityGrid(self.origin, self.voxel, keys, hits, passes)
 
     def _collected(self) -> Ints:
-        return _collect(self._index, self._used, self._hits, self._passes, self._looks, self._least > 0)
+        return _collect(self._index, self._used, self._counts, self._states, self._least > 0)
 
     def _ordered(self) -> Ints:
         """Return keys and cells (2, N) of the voxels seen so far, by key."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, within_box
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.movement import verdicts
@@ -213,22 +213,26 @@ class MapFusion:
 
     def _usable(self, tile: int) -> VoxelStatistics:
         found = self._first.statistics(tile)
-        return found.select(found.n >= self._config.min_points)
+        usable = found.n >= self._config.min_points
+        return found if usable.all() else found.select(usable)
 
-    def _around(self, tile: int) -> tuple[VoxelStatistics, int]:
-        """Return the voxels of a tile, how many those are, and behind them its neighbours' within reach."""
+    def _around(self, tile: int) -> tuple[Floats, Floats, Floats]:
+        """Return places (N, 3), directions to the sensor (N, 3) and distances from it (N,) of voxels.
+
+        The voxels of a tile come first, then those of its neighbours within reach.
+        """
         low = tile_corner(tile, self._edge) * self._config.leaf - self._reach
         high = low + self._edge * self._config.leaf + 2 * self._reach
         present = set(self._first.tiles)
         own = self._statistics(tile)
-        parts = [own]
+        parts = [(own.mean, own.view, own.reach)]
         for other in tiles_around(tile):
             if other != tile and other in present:
                 found = self._statistics(other)
-                xy = found.mean[:, :2]
-                near = np.asarray(((xy >= low) & (xy <= high)).all(axis=1))
-                parts.append(found.select(near))
-        return VoxelStatistics.joined(parts), len(own)
+                near = np.flatnonzero(within_box(found.mean[:, :2], low, high))
+                parts.append((found.mean.take(near, axis=0), found.view[near], found.reach[near]))
+        mean, view, reach = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        return mean, view, reach
 
     def _moved(self, xyz: Floats) -> NDArray[np.float32]:
         """Return the probability (N,) that the points moved; NaN where nothing is known."""
@@ -238,8 +242,8 @@ class MapFusion:
 
     def _finish_tile(self, tile: int, threads: int, still: DiskColumns, moving: DiskColumns) -> None:
         """Write what of a tile moved, and what stays with its normals."""
-        (found, own), config = self._around(tile), self._config
-        xyz = found.mean
+        (xyz, view, reach), found, config = self._around(tile), self._statistics(tile), self._config
+        own = len(found)
         above = height_above_floor(xyz)
         probability = moved_probability(xyz, above, self._moved, config.visibility_voxel)
         probability[above < config.moving.floor] = 0.0
@@ -249,33 +253,34 @@ class MapFusion:
         probability[fragment] = np.fmax(probability[fragment], NUMBERS.fusion.fragment_moved)
         self._fragments.append(xyz[:own][fragment[:own]] + self._origin)
         self._write(moving, found.select(np.flatnonzero(moved[:own])))
-        isolated = isolated_points(xyz, found.reach, self._spacing, config, threads)
-        keep = ~moved & ~isolated
+        isolated = isolated_points(xyz, reach, self._spacing, config, threads)
+        keep = np.flatnonzero(~moved & ~isolated)
+        kept = keep[: np.searchsorted(keep, own)]  # of the tile itself
         if self._density is not None:
-            self._finish_density(tile, found, own, isolated & ~moved, moved, probability)
-        (found, probability), own = (found.select(keep), probability[keep]), int(keep[:own].sum())
-        if own:
-            count = config.normal_neighbours
-            normals = oriented_normals(found.mean, found.view, count, threads)[:own]
-            self._write(still, found.select(np.arange(own)), normals, moving=probability[:own])
+            self._finish_density(tile, found, xyz, isolated & ~moved, moved, probability)
+        if len(kept):
+            xyz, view = xyz.take(keep, axis=0), view.take(keep, axis=0)
+            normals = oriented_normals(xyz, view, config.normal_neighbours, threads)[: len(kept)]
+            self._write(still, found.select(kept), normals, moving=probability[kept])
 
     def _finish_density(
         self,
         tile: int,
         found: VoxelStatistics,
-        own: int,
+        xyz: Floats,
         removed: NDArray[np.bool_],
         moved: NDArray[np.bool_],
         probability: NDArray[np.float32],
     ) -> None:
-        """Write the returns of a tile with the classes of its voxels, the first ``own`` of those around."""
+        """Write the returns of a tile with the classes of its voxels, the first of ``xyz`` (N, 3)."""
         assert self._density is not None
+        own = len(found)
         kept, semantic = np.flatnonzero(~(removed | moved)), None
         inside = int((kept < own).sum())
         if self._classify is not None and inside:
-            cloud = PointCloud(found.mean[kept], self._origin, self._crs)
+            cloud = PointCloud(xyz[kept], self._origin, self._crs)
             semantic = self._classify(cloud, np.nan_to_num(probability[kept]).astype(np.float64))[:inside]
-        classes = self._density.classes(found.keys[:own], removed[:own], moved[:own], semantic)
+        classes = self._density.classes(found.keys, removed[:own], moved[:own], semantic)
         self._density.finish_tile(tile, classes)
 
     def _write(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
-from subiaco_geo.clouds import PointCloud
-from subiaco_geo.frames import Floats
+from subiaco_geo.clouds import PointCloud, unique_cells
+from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.method_numbers import NUMBERS
 
 _CELL = NUMBERS.fusion.ground_cell
@@ -18,12 +19,19 @@ _TUKEY = NUMBERS.fusion.ground_kernel
 
 def _lowest_of_cells(xyz: Floats) -> Floats:
     """Return the lowest point of every 1 m cell, its x and y kept."""
-    cell = np.floor(xyz[:, :2] / _CELL).astype(np.int64)
-    order = np.lexsort((xyz[:, 2], cell[:, 1], cell[:, 0]))
-    ranked = cell[order]
-    first = np.ones(len(order), dtype=np.bool_)
-    first[1:] = (ranked[1:] != ranked[:-1]).any(axis=1)
-    return xyz[order[first]]
+    cells, member = unique_cells(np.floor(xyz[:, :2] / _CELL).astype(np.int64))
+    return xyz[_lowest(xyz, member, len(cells))]
+
+
+@numba.njit(cache=True)
+def _lowest(xyz: Floats, member: Ints, cells: int) -> Ints:
+    """Return which point (N, 3) of every cell (M,) is the lowest, the first of equal ones."""
+    lowest = np.full(cells, -1, np.int64)
+    for i in range(len(xyz)):
+        other = lowest[member[i]]
+        if other < 0 or xyz[i, 2] < xyz[other, 2]:
+            lowest[member[i]] = i
+    return lowest
 
 
 def _robust_plane(xyz: Floats) -> tuple[Floats, Floats]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import VOXEL_LIMIT, stable_order, unpack_voxel_keys
+from subiaco_geo.clouds import VOXEL_LIMIT, stable_order
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.voxel_table import EMPTY, empty_table, enter_keys, find_slot
@@ -99,12 +98,6 @@ class VoxelStatistics:
         """Return the voxels of a mask or an index array."""
         return VoxelStatistics(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
-    @staticmethod
-    def joined(parts: Sequence[VoxelStatistics]) -> VoxelStatistics:
-        """Return the voxels of several."""
-        names = [f.name for f in fields(VoxelStatistics)]
-        return VoxelStatistics(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
-
 
 class VoxelAccumulator:
     """Streaming sums of points per voxel: rows in the order of the first points, which a hash table finds."""
@@ -164,18 +157,38 @@ class VoxelAccumulator:
 
 def statistics_of(keys: Ints, counts: NDArray[np.uint32], sums: Floats, leaf: float) -> VoxelStatistics:
     """Turn keys (V,), counts (V,) and sums (V, 14) of voxels into statistics."""
-    share = sums / counts[:, None]
-    offset = share[:, :3]
-    second = share[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
+    mean, covariance, share = _moments(keys, counts, sums, leaf)
     return VoxelStatistics(
         keys=keys,
         n=counts,
-        mean=(unpack_voxel_keys(keys) + 0.5) * leaf + offset,
-        covariance=second - offset[:, :, None] * offset[:, None, :],
-        intensity=share[:, 9].astype(np.float32),
-        view=share[:, 10:13],
-        reach=share[:, 13],
+        mean=mean,
+        covariance=covariance,
+        intensity=share[:, 0].astype(np.float32),
+        view=share[:, 1:4],
+        reach=share[:, 4],
     )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _moments(
+    keys: Ints, counts: NDArray[np.uint32], sums: Floats, leaf: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return mean (V, 3) and covariance (V, 3, 3) of the points of voxels, and other mean values (V, 5)."""
+    size = len(keys)
+    mean, covariance, share = np.empty((size, 3)), np.empty((size, 3, 3)), np.empty((size, 5))
+    for v in range(size):
+        count, column = np.float64(counts[v]), 3
+        for axis in range(3):
+            index = ((keys[v] >> (42 - 21 * axis)) & ((1 << 21) - 1)) - VOXEL_LIMIT
+            mean[v, axis] = (index + 0.5) * leaf + sums[v, axis] / count
+        for i in range(3):
+            for j in range(i, 3):
+                apart = sums[v, column] / count - (sums[v, i] / count) * (sums[v, j] / count)
+                covariance[v, i, j] = covariance[v, j, i] = apart
+                column += 1
+        for k in range(5):
+            share[v, k] = sums[v, 9 + k] / count
+    return mean, covariance, share
 
 
 def oriented_normals(xyz: Floats, view: Floats, neighbours: int, threads: int) -> Floats:

@@ -8,10 +8,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import VOXEL_LIMIT, stable_order, unpack_voxel_columns
+from subiaco_geo.clouds import VOXEL_LIMIT, stable_order
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.observation_times import (
     COLUMNS,
@@ -40,6 +41,20 @@ def tile_numbers(index: Ints, edge: int) -> Ints:
     return np.asarray(((column + VOXEL_LIMIT) << _SHIFT) | (row + VOXEL_LIMIT))
 
 
+@numba.njit(cache=True)
+def _tiles_of(keys: Ints, edge: int) -> Ints:
+    """Return the tile (N,) of voxels by their keys (N,); a division for every column of sorted keys."""
+    tiles = np.empty(len(keys), np.int64)
+    last, tile = np.int64(-1), np.int64(0)
+    for i in range(len(keys)):
+        if keys[i] >> _SHIFT != last:  # another column of voxels
+            last = keys[i] >> _SHIFT
+            column, row = (last >> _SHIFT) - VOXEL_LIMIT, (last & ((1 << _SHIFT) - 1)) - VOXEL_LIMIT
+            tile = ((column // edge + VOXEL_LIMIT) << _SHIFT) | (row // edge + VOXEL_LIMIT)
+        tiles[i] = tile
+    return tiles
+
+
 def tiles_around(tile: int) -> list[int]:
     """Return a tile and its eight neighbours."""
     return [tile + (dx << _SHIFT) + dy for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
@@ -58,11 +73,26 @@ def _grouped(keys: Ints) -> tuple[Ints, Ints, Ints]:
     return ranked[starts], starts, order
 
 
+def _stretches_by_tile(tiles: Ints) -> tuple[Ints, Ints, list[slice]]:
+    """Return the tiles (T,), where the rows of each begin once in order, and stretches in that order.
+
+    Rows of sorted keys lie in few stretches of one tile (N,): these are copied faster than single rows.
+    """
+    first = np.flatnonzero(np.concatenate([[True], tiles[1:] != tiles[:-1]]))
+    found, starts, order = _grouped(tiles[first])
+    lengths = np.diff(first, append=len(tiles))[order]
+    begins = np.concatenate([[0], np.cumsum(lengths)[:-1]])[starts]
+    stretches = zip(first[order].tolist(), lengths.tolist(), strict=True)
+    return found, begins, [slice(begin, begin + length) for begin, length in stretches]
+
+
 def summed(keys: Ints, columns: list[Rows]) -> tuple[Ints, list[Rows]]:
     """Add up rows of equal keys; keys come out sorted."""
     if len(keys) == 0:
         return keys, columns
     ranked, starts, order = _grouped(keys)
+    if len(ranked) == len(keys):
+        return ranked, [c[order] for c in columns]
     return ranked, [np.add.reduceat(c[order], starts, axis=0, dtype=c.dtype) for c in columns]
 
 
@@ -87,12 +117,12 @@ class TileRuns:
 
     def append(self, keys: Ints, columns: list[Rows]) -> None:
         """Write a run: keys (N,), each once, and columns (N, ...)."""
-        found, starts, order = _grouped(tile_numbers(unpack_voxel_columns(keys), self.edge))
+        found, starts, stretches = _stretches_by_tile(_tiles_of(keys, self.edge))
         ends = np.append(starts[1:], len(keys))
         mapped = []
         for number, rows in enumerate([keys, *columns]):
             path = self._folder / f"{len(self._runs):05d}_{number}.npy"
-            np.save(path, rows[order])
+            np.save(path, np.concatenate([rows[stretch] for stretch in stretches]))
             mapped.append(np.load(path, mmap_mode="r"))
         spans = zip(found.tolist(), starts.tolist(), ends.tolist(), strict=True)
         self._runs.append((mapped, {name: slice(start, end) for name, start, end in spans}))
@@ -105,6 +135,8 @@ class TileRuns:
         """Return keys and columns of tiles, runs joined, sorted by key; there must be some."""
         parts = [[c[spans[t]] for c in rows] for t in tiles for rows, spans in self._runs if t in spans]
         keys, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+        if len(parts) == 1 and (keys[1:] > keys[:-1]).all():  # of one run, nothing to join
+            return keys, columns
         return self._join(keys, columns)
 
 
@@ -245,6 +277,8 @@ class VisibilityTiles:
 def _joined_beams(keys: Ints, columns: list[Rows]) -> tuple[Ints, list[Rows]]:
     """Join rows of equal keys, in the order of time: beams are added up, looks follow one another."""
     ranked, starts, order = _grouped(keys)
+    if len(ranked) == len(keys):  # nothing to join
+        return ranked, [c[order] for c in columns]
     counts = [np.add.reduceat(c[order], starts, axis=0, dtype=c.dtype) for c in columns[:2]]
     looks = joined_looks(starts, VoxelObservations(*(c[order] for c in columns[2:])))
     return ranked, [*counts, *looks.columns()]

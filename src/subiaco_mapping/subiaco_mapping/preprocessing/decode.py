@@ -16,12 +16,15 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.measurements import Returns, Scan
 from subiaco_mapping.preprocessing.config import DecodeConfig
 from subiaco_mapping.preprocessing.frame_numbers import FrameUnwrapper
+from subiaco_mapping.preprocessing.packet_contents import PacketContents
 from subiaco_mapping.preprocessing.sky import sky_mask, thinned
 
 logger = logging.getLogger(__name__)
 
 GPS_MINUS_TAI_S = -19
 _MAX_PIXELS, _MAX_COLUMNS = 1024, 16384
+_BEYOND, _SEEN = -1, -2  # packets that are not entered into their frame
+_FIELDS = ("RANGE", "REFLECTIVITY", "RANGE2", "REFLECTIVITY2")
 
 
 @dataclass
@@ -47,13 +50,14 @@ class DecodeCounts:
 
 @dataclass
 class _Frame:
-    """One open frame: staggered fields (H, W), column times and what was seen."""
+    """One open frame: staggered fields (F, H, W), column times, what was seen, columns that are missing."""
 
     number: int
-    fields: dict[str, NDArray[Any]]
+    fields: NDArray[np.uint32]
     times_ns: Ints
     seen: NDArray[np.bool_]
     valid: NDArray[np.bool_]
+    missing: int
     newer_packets: int = 0
 
 
@@ -63,6 +67,7 @@ class _Layout:
 
     info: Any
     packets: Any
+    names: tuple[str, ...]
     height: int
     width: int
     direction: Floats = field(repr=False)
@@ -130,10 +135,11 @@ def _layout(text: str) -> _Layout:
 def _layout_of(info: Any) -> _Layout:
     _refuse_impossible(info.format)
     height, width = info.format.pixels_per_column, info.format.columns_per_frame
-    lut = core.XYZLut(info, use_extrinsics=False)
+    lut, packets = core.XYZLut(info, use_extrinsics=False), core.PacketFormat(info)
     return _Layout(
         info=info,
-        packets=core.PacketFormat(info),
+        packets=packets,
+        names=tuple(name for name in _FIELDS if name in packets.fields),
         height=height,
         width=width,
         direction=np.ascontiguousarray(lut.direction, dtype=np.float64).reshape(-1, 3),
@@ -193,26 +199,70 @@ def utc_shift_ns(config: DecodeConfig) -> int:
 
 
 @numba.njit(cache=True)
+def _enter(
+    column: Ints, times_ns: Ints, valid: NDArray[np.bool_], values: NDArray[np.uint32],
+    frame_fields: NDArray[np.uint32], frame_times: Ints, frame_seen: NDArray[np.bool_],
+    frame_valid: NDArray[np.bool_], expected: NDArray[np.bool_],
+) -> int:  # fmt: skip
+    """Write a packet into its frame; return how many columns are new that the sensor is expected to send.
+
+    -1 for a packet with columns beyond the frame, -2 for one whose columns were all seen before.
+    """
+    if column.max() >= len(frame_seen):
+        return -1
+    known, fresh = 0, 0
+    for at in column:
+        known += frame_seen[at]
+    if known == len(column):
+        return -2
+    for k, at in enumerate(column):
+        fresh += expected[at] and not frame_seen[at]
+        frame_seen[at], frame_valid[at], frame_times[at] = True, valid[k], times_ns[k]
+    whole = valid.all() and column[-1] - column[0] == len(column) - 1  # the rule: one block of columns
+    for name in range(len(values)):
+        for row in range(values.shape[1]):
+            for k in range(len(column)):
+                if valid[k]:
+                    at = column[0] + k if whole else column[k]
+                    frame_fields[name, row, at] = values[name, row, k]
+    return fresh
+
+
+@numba.njit(cache=True)
 def _measured(
-    distance: NDArray[np.uint32], near: float, far: float, direction: Floats, offset: Floats
-) -> tuple[Ints, Ints, Floats]:
-    """Return row (N,), column (N,) and place (N, 3) [m] of the pixels with a range [mm] that counts."""
+    distance: NDArray[np.uint32], intensity: NDArray[np.uint32], times_ns: Ints,
+    near: float, far: float, direction: Floats, offset: Floats,
+) -> tuple[Floats, Ints, NDArray[np.float32], NDArray[np.uint16], Ints]:  # fmt: skip
+    """Return place (N, 3) [m], time, intensity, row and column (N,) of the pixels whose range [mm] counts."""
     height, width = distance.shape
     count = 0
     for i in range(height):
         for j in range(width):
             count += distance[i, j] > 0 and near <= distance[i, j] <= far
-    row, column, xyz = np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 3))
-    n = 0
+    xyz, when = np.empty((count, 3)), np.empty(count, np.int64)
+    value, row = np.empty(count, np.float32), np.empty(count, np.uint16)
+    column, n = np.empty(count, np.int64), 0
     for i in range(height):
         for j in range(width):
             if distance[i, j] > 0 and near <= distance[i, j] <= far:
-                row[n], column[n] = i, j
+                row[n], column[n], when[n], value[n] = i, j, times_ns[j], intensity[i, j]
                 for axis in range(3):
                     pixel = i * width + j
                     xyz[n, axis] = direction[pixel, axis] * distance[i, j] + offset[pixel, axis]
                 n += 1
-    return row, column, xyz
+    return xyz, when, value, row, column
+
+
+@numba.njit(cache=True)
+def _destaggered(
+    distance: NDArray[np.uint32], valid: NDArray[np.bool_], column: Ints
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which beams (H, W) returned something, and which arrived, from the column of each azimuth."""
+    returned, received = np.empty(column.shape, np.bool_), np.empty(column.shape, np.bool_)
+    for i in range(column.shape[0]):
+        for j in range(column.shape[1]):
+            returned[i, j], received[i, j] = distance[i, column[i, j]] > 0, valid[column[i, j]]
+    return returned, received
 
 
 class PacketDecoder:
@@ -228,6 +278,7 @@ class PacketDecoder:
     def __init__(self, metadata_json: str, config: DecodeConfig) -> None:
         self._config = config
         self._layout = _layout(metadata_json)
+        self._contents = PacketContents(self._layout.packets, self._layout.names)
         self._open: dict[int, _Frame] = {}
         self._frames = FrameUnwrapper(int(self._layout.packets.max_frame_id) + 1)
         self._closed: int | None = None
@@ -283,41 +334,29 @@ class PacketDecoder:
 
     def _new_frame(self, number: int) -> _Frame:
         layout = self._layout
-        names = [
-            n for n in ("RANGE", "REFLECTIVITY", "RANGE2", "REFLECTIVITY2") if n in layout.packets.fields
-        ]
-        shape = (layout.height, layout.width)
         return _Frame(
             number=number,
-            fields={name: np.zeros(shape, dtype=np.uint32) for name in names},
+            fields=np.zeros((len(layout.names), layout.height, layout.width), dtype=np.uint32),
             times_ns=np.zeros(layout.width, dtype=np.int64),
             seen=np.zeros(layout.width, dtype=np.bool_),
             valid=np.zeros(layout.width, dtype=np.bool_),
+            missing=int(layout.expected.sum()),
         )
 
     def _store(self, frame: _Frame, data: NDArray[np.uint8]) -> None:
-        packets = self._layout.packets
-        column = packets.packet_header(core.ColHeader.MEASUREMENT_ID, data).astype(np.int64)
-        if column.max() >= self._layout.width:
-            self.counts.malformed += 1
+        column, times_ns, valid, values = self._contents.read(data)
+        fresh = _enter(
+            column, times_ns, valid, values, frame.fields, frame.times_ns, frame.seen, frame.valid,
+            self._layout.expected,
+        )  # fmt: skip
+        if fresh < 0:
+            self.counts.malformed += fresh == _BEYOND
+            self.counts.duplicate += fresh == _SEEN
             return
-        if frame.seen[column].all():
-            self.counts.duplicate += 1
-            return
+        frame.missing -= fresh
         place = (frame.number, int(column[0]))
         self.counts.reordered += place < self._latest
         self._latest = max(place, self._latest)
-        status = packets.packet_header(core.ColHeader.STATUS, data)
-        valid = (status.astype(np.int64) & 1) == 1
-        frame.seen[column] = True
-        frame.valid[column] = valid
-        frame.times_ns[column] = packets.packet_header(core.ColHeader.TIMESTAMP, data).astype(np.int64)
-        whole = bool(valid.all()) and int(column[-1] - column[0]) == len(column) - 1
-        for name, values in frame.fields.items():
-            if whole:  # the rule: one block instead of scattered columns
-                values[:, column[0] : column[-1] + 1] = packets.packet_field(name, data)
-            else:
-                values[:, column[valid]] = packets.packet_field(name, data)[:, valid]
 
     def _close_ready(self, number: int) -> list[Scan]:
         """Close frames that are complete, or that newer packets have left behind."""
@@ -326,8 +365,7 @@ class PacketDecoder:
             self._open[older].newer_packets += 1
         for candidate in sorted(self._open):
             frame = self._open[candidate]
-            complete = bool(frame.seen[self._layout.expected].all())
-            if not complete and frame.newer_packets <= self._config.reorder_packets:
+            if frame.missing and frame.newer_packets <= self._config.reorder_packets:
                 break
             scans.append(self._close(candidate))
         return [scan for scan in scans if scan is not None]
@@ -335,8 +373,7 @@ class PacketDecoder:
     def _close(self, number: int) -> Scan | None:
         frame = self._open.pop(number)
         per_packet = self._layout.info.format.columns_per_packet
-        missing = int((self._layout.expected & ~frame.seen).sum())
-        self.counts.lost += missing // per_packet
+        self.counts.lost += frame.missing // per_packet
         if self._closed is not None and number > self._closed + 1:
             whole = int(self._layout.expected.sum()) // per_packet
             self.counts.lost += (number - self._closed - 1) * whole
@@ -346,19 +383,20 @@ class PacketDecoder:
             logger.warning("frame %d has no valid column; dropped", number)
             return None
         self.counts.scans += 1
-        return self._scan(frame, missing)
+        return self._scan(frame)
 
     def _utc(self, times_ns: Ints) -> Ints:
         return np.asarray(times_ns + utc_shift_ns(self._config))
 
-    def _scan(self, frame: _Frame, missing: int) -> Scan:
+    def _scan(self, frame: _Frame) -> Scan:
         times_ns, bad = complete_times(
             frame.times_ns, frame.valid, self._layout.column_ns, self._config.stamp_tolerance_ns
         )
         self.counts.bad_stamps += bad
         utc_ns = self._utc(times_ns)
         sent = np.flatnonzero(self._layout.expected)
-        second = self._returns(frame, "RANGE2", "REFLECTIVITY2", utc_ns) if "RANGE2" in frame.fields else None
+        two = "RANGE2" in self._layout.names
+        second = self._returns(frame, "RANGE2", "REFLECTIVITY2", utc_ns) if two else None
         return Scan(
             start_ns=int(utc_ns[sent[0]]),
             end_ns=int(utc_ns[sent[-1]]),
@@ -366,19 +404,24 @@ class PacketDecoder:
             last=second,
             sky=self._sky(frame, utc_ns) if self._config.sky_range > 0 else None,
             columns=len(sent),
-            lost_columns=missing,
+            lost_columns=frame.missing,
             frame_id=frame.number,
         )
 
     def _returns(self, frame: _Frame, range_name: str, intensity_name: str, times_ns: Ints) -> Returns:
         """Return the points of one return; ranges are in millimetres in the packet."""
-        distance = frame.fields[range_name]
+        distance, intensity = self._field(frame, range_name), self._field(frame, intensity_name)
         near, far = self._config.min_range * 1e3, self._config.max_range * 1e3
-        row, column, xyz = _measured(distance, near, far, self._layout.direction, self._layout.offset)
-        intensity = frame.fields.get(intensity_name)
-        values = np.zeros(len(row)) if intensity is None else intensity[row, column]
-        ring = row.astype(np.uint16)
-        return Returns(xyz, times_ns[column], values.astype(np.float32), ring, column, times_ns)
+        xyz, when, value, ring, column = _measured(
+            distance, intensity, times_ns, near, far, self._layout.direction, self._layout.offset
+        )
+        return Returns(xyz, when, value, ring, column, times_ns)
+
+    def _field(self, frame: _Frame, name: str) -> NDArray[np.uint32]:
+        """Return a field (H, W), zeros where the sensor does not send it."""
+        if name not in self._layout.names:
+            return np.zeros((self._layout.height, self._layout.width), dtype=np.uint32)
+        return frame.fields[self._layout.names.index(name)]
 
     def _points(self, row: Ints, column: Ints, reach_mm: Floats | float) -> Floats:
         """Return where beams (N,) are at a range [mm], (N, 3) [m]."""
@@ -391,9 +434,8 @@ class PacketDecoder:
 
     def _sky(self, frame: _Frame, times_ns: Ints) -> Returns:
         """Return where a lattice of the beams that met nothing would be at ``sky_range``."""
-        ring = np.arange(self._layout.height)[:, None]
         staggered = self._layout.azimuth_column
-        mask = sky_mask(frame.fields["RANGE"][ring, staggered] > 0, frame.valid[staggered])
+        mask = sky_mask(*_destaggered(self._field(frame, "RANGE"), frame.valid, staggered))
         row, azimuth = thinned(mask, frame.number)
         column = staggered[row, azimuth]
         xyz = self._points(row, column, self._config.sky_range * 1e3)

@@ -8,6 +8,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -155,8 +156,9 @@ class Spool:
 
     def _write(self, parts: tuple[NDArray[np.void], ...]) -> None:
         with self._path(self._count).open("wb") as stream:
+            stream.write(np.array([len(part) for part in parts], dtype=np.int64).data)
             for part in parts:
-                np.save(stream, part)
+                stream.write(part.view(np.uint8).data)
 
     def _note_room(self, room: bool) -> None:
         if not room and not self._full:
@@ -167,24 +169,52 @@ class Spool:
 
     def read(self, index: int) -> SpooledScan:
         """Read a scan back."""
-        with self._path(index).open("rb") as stream:
-            first, last, sky = (np.load(stream) for _ in range(3))
-            pulses = [np.load(stream) for _ in range(2)] if self._keep_pulses else [None, None]
+        kinds = [_POINT] * 3 + [PULSE] * (2 if self._keep_pulses else 0)
+        data = np.fromfile(self._path(index), dtype=np.uint8)
+        begin, parts = 8 * len(kinds), []
+        for kind, count in zip(kinds, data[:begin].view(np.int64).tolist(), strict=True):
+            end = begin + count * kind.itemsize
+            parts.append(data[begin:end].view(kind))
+            begin = end
+        first, last, sky, *pulses = parts
         return SpooledScan(*self._unpack(first), *self._unpack(last), self._unpack(sky)[0], *pulses)
 
     def _path(self, index: int) -> Path:
-        return self._folder / f"{index:06d}.npy"
+        return self._folder / f"{index:06d}.scan"
 
     def _pack(self, xyz: Floats, intensity: NDArray[np.float32], limit: float) -> NDArray[np.void]:
-        keep = _within(xyz, limit)
-        points = np.empty(int(keep.sum()), dtype=_POINT)
-        points["xyz"] = np.round(xyz[keep] / self._step)
-        points["intensity"] = np.clip(intensity[keep], 0, 65535)
-        return points
+        return _packed(xyz, intensity, _within(xyz, limit), self._step).view(_POINT)[:, 0]
 
     def _unpack(self, points: NDArray[np.void]) -> tuple[Floats, NDArray[np.float32]]:
-        return points["xyz"].astype(np.float64) * self._step, points["intensity"].astype(np.float32)
+        return _unpacked(points.view(np.int16).reshape(-1, 4), self._step)
 
 
 def _within(xyz: Floats, limit: float) -> NDArray[np.bool_]:
     return np.asarray(np.einsum("ij,ij->i", xyz, xyz) <= limit**2)
+
+
+@numba.njit(cache=True)
+def _packed(
+    xyz: Floats, intensity: NDArray[np.float32], keep: NDArray[np.bool_], step: float
+) -> NDArray[np.int16]:
+    """Return the kept points as rows (M, 4) of 16 bits: coordinates in steps, intensity unsigned."""
+    packed, n = np.empty((keep.sum(), 4), np.int16), 0
+    for i in range(len(xyz)):
+        if keep[i]:
+            for axis in range(3):
+                packed[n, axis] = np.int16(np.rint(xyz[i, axis] / step))
+            value = intensity[i] if intensity[i] > 0 else np.float32(0.0)  # NaN neither
+            packed[n, 3] = np.int16(np.uint16(min(value, np.float32(65535.0))))
+            n += 1
+    return packed
+
+
+@numba.njit(cache=True)
+def _unpacked(packed: NDArray[np.int16], step: float) -> tuple[Floats, NDArray[np.float32]]:
+    """Return coordinates (N, 3) [m] and intensity (N,) of packed points."""
+    xyz, intensity = np.empty((len(packed), 3)), np.empty(len(packed), np.float32)
+    for i in range(len(packed)):
+        for axis in range(3):
+            xyz[i, axis] = packed[i, axis] * step
+        intensity[i] = np.uint16(packed[i, 3])
+    return xyz, intensity

@@ -16,6 +16,7 @@ A glass front up to the roof line still passes; ``decode.sky_range: 0`` leaves a
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,20 +46,31 @@ def sky_mask(returned: Flags, received: Flags) -> Flags:
     (rings, columns) bool
         Beyond the highest and lowest ring nothing is asked; azimuth closes in itself.
     """
-    nothing = received & ~returned
-    calm = nothing.copy()
-    for step in range(1, _RING_REACH + 1):
-        calm[step:] &= nothing[:-step]
-        calm[:-step] &= nothing[step:]
-    level = calm.copy()
-    for step in range(1, _COLUMN_REACH + 1):
-        level &= np.roll(calm, step, axis=1) & np.roll(calm, -step, axis=1)
-    above = np.zeros(returned.shape[1], dtype=np.int16)
-    most = np.floor(MAX_CLUTTER * np.arange(1, len(returned) + 1, dtype=np.float32)).astype(np.int16)
-    for ring, limit in enumerate(most):  # four times as fast as a sum down the columns of a whole turn
-        above += returned[ring]
-        level[ring] &= above <= limit
-    return np.asarray(level)
+    most = np.floor(MAX_CLUTTER * np.arange(1, len(returned) + 1, dtype=np.float32)).astype(np.int64)
+    return _sky_mask(returned, received, most, _RING_REACH, _COLUMN_REACH)
+
+
+@numba.njit(cache=True)
+def _sky_mask(returned: Flags, received: Flags, most: Ints, ring_reach: int, column_reach: int) -> Flags:
+    """Mark beams (R, C) with nothing around them and at most ``most`` (R,) returns from their ring up."""
+    rings, columns = returned.shape
+    sky, above = np.empty((rings, columns), np.bool_), np.zeros(columns, np.int64)
+    calm = np.empty(columns + 2 * column_reach, np.bool_)  # with the columns beyond either end of the turn
+    inner = calm[column_reach : column_reach + columns]
+    for ring in range(rings):
+        inner[:] = True
+        for near in range(max(ring - ring_reach, 0), min(ring + ring_reach + 1, rings)):
+            for column in range(columns):
+                inner[column] &= received[near, column] & ~returned[near, column]
+        calm[:column_reach] = inner[columns - column_reach :]
+        calm[columns + column_reach :] = inner[:column_reach]
+        for column in range(columns):
+            above[column] += returned[ring, column]
+            sky[ring, column] = above[column] <= most[ring]
+        for step in range(2 * column_reach + 1):
+            for column in range(columns):
+                sky[ring, column] &= calm[column + step]
+    return sky
 
 
 def thinned(mask: Flags, turn: int) -> tuple[Ints, Ints]:
