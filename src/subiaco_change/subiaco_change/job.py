@@ -372,5 +372,7 @@ def run_change_and(
         kinds = {row.evidence for row in result.records if row.change in CHANGED}
         calibration = calibration_of(kinds, simulated, config.confidence)
         inputs = replace(_inputs(request, *epochs, {}, calibration, lots), findings=found)
-        write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)
+        write_change_directory(
+            request.output, result, config, inputs, request.overwrite, write_pages, runner.executor
+        )
         return take(result)

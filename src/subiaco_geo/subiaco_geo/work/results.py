@@ -144,6 +144,11 @@ class _Loaded:
         self.__dict__[name] = value = _read(name, hints[name], arrays, prefix)
         return value
 
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        """Pickle the result that this stands for, with all its fields."""
+        kind = _declared(type(self))
+        return kind, tuple(getattr(self, name) for name in _hints(kind))
+
 
 @cache
 def _loaded(kind: type) -> type:
