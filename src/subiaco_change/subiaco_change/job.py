@@ -86,7 +86,7 @@ def task_runner(
         if request.stages is None and any(kept.glob("*/*.npz")):
             _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
         with running(
-            make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.run",))
+            make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.worker_start",))
         ) as executor:
             try:
                 yield TaskRunner(store, executor, progress, redo, on_tile)

@@ -35,6 +35,7 @@ from subiaco_bringup.cli.options import (
     Quiet,
     Settings,
     Verbose,
+    no_collection,
     print_json,
     say,
     set_up_logging,
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from subiaco_change.request import ChangeRequest
 
 #: What workers of a change run need.
-_LOADED = ("subiaco_change.tiling.run", "subiaco_report.pages")
+_LOADED = ("subiaco_change.tiling.worker_start", "subiaco_report.pages")
 
 
 def change(
@@ -86,9 +87,10 @@ def change(
     if scheduler is None and (workers or cores()) > 1:
         load_for_workers(_LOADED)  # on another core, while this process loads the same
 
-    from subiaco_change.history import run_epochs
-    from subiaco_change.job import run_change
-    from subiaco_report.pages import write_pages
+    with no_collection():
+        from subiaco_change.history import run_epochs
+        from subiaco_change.job import run_change
+        from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
     if len(epochs) < 2:

@@ -39,10 +39,12 @@ Start = Callable[..., Callable[[], Any]]
 class Executor(Protocol):
     """Does independent tasks in any order and tells what each cost as it ends.
 
-    ``spare`` tells whether workers would stand idle while a single task is done.
+    ``spare`` tells whether workers would stand idle while a single task is done. ``beside``: processor
+    seconds that workers spent on work that was started (:meth:`start`), and whose result was asked for.
     """
 
     spare: bool
+    beside: float
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks; the first that fails ends the run with its error."""
@@ -71,7 +73,7 @@ class InProcess:
     nothing, and wait for each other at full load.
     """
 
-    spare = False
+    spare, beside = False, 0.0
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks in the order given."""
@@ -105,7 +107,7 @@ class LocalPool:
     spare = True
 
     def __init__(self, workers: int, preload: Sequence[str] = ()) -> None:
-        self.workers = workers
+        self.workers, self.beside = workers, 0.0
         self._pool: ProcessPoolExecutor | None = None
         self._context = load_for_workers(preload)
 
@@ -143,16 +145,18 @@ class LocalPool:
     def start(self, function: Callable[..., Any], *args: Any) -> Callable[[], Any]:
         """Let a worker do the work; function and arguments are pickled."""
         with _one_thread(), _signals_deferred():
-            future = self._started().submit(function, *args)
+            future = self._started().submit(_timed, function, *args)
 
         def result() -> Any:
             try:
-                return future.result()
+                found, spent = future.result()
             except BrokenProcessPool as error:
                 raise SubiacoError(
                     "a worker process died; if memory is short, use fewer workers, then the same command "
                     "goes on from what is finished"
                 ) from error
+            self.beside += spent
+            return found
 
         return result
 
@@ -190,6 +194,12 @@ def running(executor: Executor) -> Iterator[Executor]:
         raise
     finally:
         executor.close()
+
+
+def _timed(function: Callable[..., Any], *args: Any) -> tuple[Any, float]:
+    """Return a result and the processor seconds that it took."""
+    begun = time.process_time()
+    return function(*args), time.process_time() - begun
 
 
 @contextmanager
@@ -298,7 +308,7 @@ class Dask:
         dask.distributed is not installed, or no scheduler answers.
     """
 
-    spare = True
+    spare, beside = True, 0.0
 
     def __init__(self, address: str, timeout: float = 20.0, patience: float = 120.0) -> None:
         try:
