@@ -84,7 +84,8 @@ def change(
 
     Example: subiaco change out/before out/after -o out/change
     """
-    if scheduler is None and (workers or cores()) > 1:
+    begins = all(path.exists() for path in epochs) and (overwrite or not output.exists())
+    if begins and scheduler is None and (workers or cores()) > 1:
         load_for_workers(_LOADED)  # on another core, while this process loads the same
 
     with no_collection():
