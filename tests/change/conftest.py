@@ -29,4 +29,4 @@ def change_directory(tmp_path_factory, result):
 @pytest.fixture
 def no_pages(monkeypatch):
     """Leave the pages of the commands out where a test is about something else."""
-    monkeypatch.setattr("subiaco_report.pages.write_pages", lambda directory: directory / "report.html")
+    monkeypatch.setattr("subiaco_report.pages.write_pages", lambda directory, *_: directory / "report.html")

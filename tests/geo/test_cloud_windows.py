@@ -1,5 +1,7 @@
 """A window of a cloud in its file holds what a look at all of its points finds."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -59,3 +61,14 @@ def test_a_file_that_can_only_be_read_whole_gives_every_point_once(cloud, tmp_pa
         assert sum(len(part) for part in opened.parts()) == len(cloud)
     found = opened.inside(*ORIGIN[:2], *(ORIGIN[:2] + 101.0))
     assert found.fields["instance"].tolist() == cloud.fields["instance"].tolist()
+
+
+def test_another_process_gets_an_opened_file_without_what_was_read_of_it(cloud, tmp_path):
+    write_cloud(tmp_path / "cloud.ply", cloud)
+    opened = CloudFile(tmp_path / "cloud.ply", ("instance",))
+    box = (*ORIGIN[:2], *(ORIGIN[:2] + 10.0))
+    found = opened.inside(*box)
+    handed = pickle.dumps(opened)
+    assert len(handed) < 5_000  # the points stay in the file
+    again = pickle.loads(handed).inside(*box)
+    assert again.xyz.tolist() == found.xyz.tolist()

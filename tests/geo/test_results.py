@@ -1,6 +1,7 @@
 """Results of stages: whatever dataclass a stage returns comes back from the store, field by field."""
 
 import json
+import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
@@ -99,6 +100,14 @@ def test_plain_values_are_exact(number, text, ids):
     row = Row(Kind.ROAD, tuple(ids), number, Shape(text), text)
     (found,) = unpack(Tile, pack(tile(rows=(row,)))).rows
     assert (found.height, found.note, found.ids, found.shape.name) == (number, text, tuple(ids), text)
+
+
+def test_a_loaded_result_is_handed_to_another_process_whole(tmp_path):
+    store = DiskStore(tmp_path)
+    store.save("stage/0_0-x", pack(tile()))
+    found = pickle.loads(pickle.dumps(unpack(Tile, store.load("stage/0_0-x"))))
+    assert type(found) is Tile
+    assert (found.xyz.shape, found.grid.corner.tolist(), found.failed) == ((2, 3), [1.0, 2.0], None)
 
 
 def test_a_loaded_result_reads_what_is_asked_for_and_no_more():

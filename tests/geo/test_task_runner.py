@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from subiaco_geo.errors import InputError, SubiacoError
-from subiaco_geo.work.executors import Dask, InProcess, LocalPool, make_executor
+from subiaco_geo.work.executors import Dask, InProcess, LocalPool, make_executor, work_beside
 from subiaco_geo.work.object_store import ObjectStore
 from subiaco_geo.work.source_code import source_fingerprint
 from subiaco_geo.work.store import DiskStore, MemoryStore
@@ -222,6 +222,49 @@ def test_the_error_of_a_task_ends_the_run_as_it_is(tmp_path):
     runner = TaskRunner(DiskStore(tmp_path), executor)
     with pytest.raises(InputError, match="tile 3_4: no points"):
         runner.one(Task("sum", "3_4", fail, {}, {"tile": "3_4"}))
+    executor.close()
+
+
+def write_slowly(path):
+    """Write what a folder that is removed must not keep."""
+    path.touch()
+    time.sleep(WAIT)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_work_beside_the_tasks_gives_its_result_and_its_error(workers):
+    executor = make_executor(workers)
+    with work_beside(executor) as start:
+        first, second = start(sorted, [3, 1, 2]), start(divmod, 7, 0)
+        assert first() == [1, 2, 3]
+        with pytest.raises(ZeroDivisionError):
+            second()
+    executor.close()
+
+
+def test_an_error_ends_the_work_beside_before_its_folder_is_removed(tmp_path):
+    executor, mark = LocalPool(1), tmp_path / "mark"
+    ends = time.monotonic() + WAIT
+
+    def work():
+        with work_beside(executor) as start:
+            start(write_slowly, mark)
+            while not mark.exists() and time.monotonic() < ends:
+                time.sleep(0.05)
+            raise InputError("stop")
+
+    with pytest.raises(InputError, match="stop"):
+        work()
+    assert mark.exists()
+    assert executor._pool is None
+    assert time.monotonic() < ends
+
+
+def test_a_worker_that_dies_beside_the_tasks_is_named():
+    executor = LocalPool(1)
+    waiting = executor.start(os._exit, 1)
+    with pytest.raises(SubiacoError, match=r"died.*fewer workers"):
+        waiting()
     executor.close()
 
 

@@ -12,6 +12,7 @@ from subiaco_change.job import disk_bytes, run_change_and
 from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.request import ChangeRequest
 from subiaco_change.tiling.run import ChangeRun
+from subiaco_geo.work.executors import Executor
 from subiaco_geo.work.tasks import peak_mib
 
 #: Stages that take a limited number of points of a city, however large.
@@ -34,12 +35,16 @@ class Sample:
     points: int = 0
     inputs: int = 0
     taken_points: int = 0
-    cut_cpu: float = 0.0
+    cut_cpu: float = 0.0  # of this process, when both epochs were cut
+    cut_beside: float = 0.0  # of workers until then, beside their tasks
+    executor: Executor | None = None
     done: Mapping[str, float] = field(default_factory=dict)  # seconds of stages of all tiles
 
     def begin(self, run: ChangeRun) -> None:
         """Leave all other tiles out of a run whose epochs are cut."""
         self.cut_cpu = time.process_time()
+        self.executor = run.runner.executor
+        self.cut_beside = self.executor.beside
         self.done = run.runner.seconds()
         self.points, self.inputs = run.kept_points, run.input_points
         self.tiles = len({name for own in run.clouds.values() for name in own})
@@ -102,7 +107,9 @@ def dry_run(
         costs = run_change_and(
             small, lambda result: result.costs, progress, begun=sample.begin, write_pages=write_pages
         )
-    return estimate(sample, costs, sample.cut_cpu - begun, time.process_time() - sample.cut_cpu, request)
+    cutting = sample.cut_cpu - begun + sample.cut_beside
+    beside = 0.0 if sample.executor is None else sample.executor.beside - sample.cut_beside
+    return estimate(sample, costs, cutting, time.process_time() - sample.cut_cpu + beside, request)
 
 
 def _dry_stages(request: ChangeRequest) -> str | None:
@@ -125,7 +132,8 @@ def estimate(
     costs : mapping
         Of its stages, see :meth:`subiaco_geo.work.task_runner.TaskRunner.costs`.
     cutting, after : float
-        Processor seconds of this process until both epochs were cut, and from then on.
+        Processor seconds of this process until both epochs were cut, and from then on, with those of
+        workers beside their tasks.
     request : ChangeRequest
     """
     factor = sample.points / max(sample.taken_points, 1)

@@ -102,12 +102,14 @@ class Extensions:
             return result
         rows = tuple(_same_row(self.decision(row), row) for row in result.records)
         changed = {new.object_id: new for new, old in zip(rows, result.records, strict=True) if new != old}
-
-        def relabelled(read: Callable[[str, str], PointCloud], epoch: str, name: str) -> PointCloud:
-            return _relabelled(read(epoch, name), changed)
-
-        tile, labelled = (partial(relabelled, read) for read in (result.tile, result.labelled))
+        tile, labelled = (partial(_read_relabelled, read, changed) for read in (result.tile, result.labelled))
         return replace(result, records=rows, tile=tile, labelled=labelled)
+
+
+def _read_relabelled(
+    read: Callable[[str, str], PointCloud], changed: dict[int, ChangeRecord], epoch: str, name: str
+) -> PointCloud:
+    return _relabelled(read(epoch, name), changed)
 
 
 def _with_objects(survey: SurveyMap, segment: SegmentationFunction) -> LoadedEpoch:

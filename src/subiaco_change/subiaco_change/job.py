@@ -86,7 +86,7 @@ def task_runner(
         if request.stages is None and any(kept.glob("*/*.npz")):
             _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
         with running(
-            make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.run",))
+            make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.worker_start",))
         ) as executor:
             try:
                 yield TaskRunner(store, executor, progress, redo, on_tile)
@@ -372,5 +372,7 @@ def run_change_and(
         kinds = {row.evidence for row in result.records if row.change in CHANGED}
         calibration = calibration_of(kinds, simulated, config.confidence)
         inputs = replace(_inputs(request, *epochs, {}, calibration, lots), findings=found)
-        write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)
+        write_change_directory(
+            request.output, result, config, inputs, request.overwrite, write_pages, runner.executor
+        )
         return take(result)

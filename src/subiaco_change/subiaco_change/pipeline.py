@@ -4,25 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.alignment_corrections import block_table, stated_registration
-from subiaco_change.level_of_detection.common_frame import CommonFrame
 from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration, TiledResult
 from subiaco_change.registration.pair import PairInfo
 from subiaco_change.tiling.alignment import TileLods, load_sigma
-from subiaco_change.tiling.epoch_tiles import EPOCHS, InputPoints
-from subiaco_change.tiling.every_point import with_every_point
 from subiaco_change.tiling.label_stage import TileLabels
-from subiaco_change.tiling.retiling import LabelledPoints
+from subiaco_change.tiling.labelled_tiles import LabelledTiles
 from subiaco_change.tiling.run import ChangeRun, ComparisonResult
 from subiaco_change.tiling.stage_inputs import Correction, load_frame
-from subiaco_geo.clouds import PointCloud
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
 from subiaco_geo.sources import Epoch, LoadedEpoch
@@ -123,6 +117,7 @@ def _assemble(
     samples = np.concatenate([run.runner.load(TileLods, found.lods[t]).sigma for t in tiles])
     bias = inputs.of(Correction, "bias").field
     registration = stated_registration(run.registration(found.registration), samples, bias)
+    clouds = LabelledTiles.of(run, frame, labelled)
     return TiledResult(
         _with_points(run, found, labelled),
         run.sides[1].crs,
@@ -132,8 +127,8 @@ def _assemble(
         block_table(sigma, frame),
         run.runner.costs(),
         tiles,
-        partial(_tile, run, labelled),
-        partial(_written, run, frame, labelled),
+        clouds.tile,
+        clouds.written,
     )
 
 
@@ -152,35 +147,6 @@ def _with_points(
             row, n_before=row.n_before + int(points[0]), n_after=row.n_after + int(points[1])
         )
     return tuple(records)
-
-
-def _tile(run: ChangeRun, labelled: Mapping[str, str], epoch: str, tile: str) -> PointCloud:
-    """Labelled points of a tile of an epoch."""
-    piece = run.runner.load(TileLabels, labelled[tile]).of(epoch)
-    fields: dict[str, NDArray[Any]] = {
-        **piece.labels.fields(),
-        "m3c2_distance": piece.m3c2_distance,
-        "m3c2_significant": piece.m3c2_significant,
-        "normals": piece.normals,
-    }
-    own = run.points[epoch]
-    if run.lit[epoch]:
-        known = run.runner.load(LabelledPoints, own[tile]).intensity if tile in own else None
-        fields["intensity"] = np.zeros(0, np.float32) if known is None else known
-    side = run.sides[EPOCHS.index(epoch)]
-    return PointCloud(piece.xyz, run.origin, side.crs, fields)
-
-
-def _written(
-    run: ChangeRun, frame: CommonFrame, labelled: Mapping[str, str], epoch: str, tile: str
-) -> PointCloud:
-    """Points of a tile of an epoch that the labelled cloud holds: all of the input, or those of the leaf."""
-    thinned = _tile(run, labelled, epoch, tile)
-    if not run.config.every_point or not len(thinned):
-        return thinned
-    points = run.runner.load(LabelledPoints, run.points[epoch][tile])
-    pieces = [run.runner.load(InputPoints, run.inputs[epoch][name]) for name in points.sources]
-    return with_every_point(thinned, points, pieces, run.sides[EPOCHS.index(epoch)], frame)
 
 
 def _raster(run: ChangeRun, labelled: Mapping[str, str]) -> GroundChange | None:

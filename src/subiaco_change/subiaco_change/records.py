@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -166,6 +167,10 @@ class ChangeResult:
         if len(cloud):
             yield cloud
 
+    def reading(self, name: str) -> Callable[[], Iterator[PointCloud]]:
+        """Return what yields the cloud of one epoch part by part, every time it is called."""
+        return partial(self.epoch, name)
+
 
 @dataclass(frozen=True)
 class TiledResult:
@@ -198,7 +203,11 @@ class TiledResult:
 
     def epoch(self, name: str) -> Iterator[PointCloud]:
         """Yield the labelled cloud of one epoch, ``before`` or ``after``, of every tile that has points."""
-        return (cloud for tile in self.tiles if len(cloud := self.labelled(name, tile)))
+        return _clouds_of(self.labelled, self.tiles, name)
+
+    def reading(self, name: str) -> Callable[[], Iterator[PointCloud]]:
+        """Return what yields the cloud of one epoch; without the rows, so that it is handed on cheaply."""
+        return partial(_clouds_of, self.labelled, self.tiles, name)
 
     def whole(self) -> ChangeResult:
         """Put the tiles together in memory."""
@@ -214,3 +223,10 @@ class TiledResult:
             self.findings,
             self.blocks,
         )
+
+
+def _clouds_of(
+    read: Callable[[str, str], PointCloud], tiles: Sequence[str], epoch: str
+) -> Iterator[PointCloud]:
+    """Yield the clouds of an epoch in tiles, where they hold points."""
+    return (cloud for tile in tiles if len(cloud := read(epoch, tile)))

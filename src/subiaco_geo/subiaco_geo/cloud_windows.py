@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,15 @@ class CloudFile:
         self.low: Floats = self._boxes[:, 0].min(axis=0)
         self.high: Floats = self._boxes[:, 1].max(axis=0)
         self._origin = np.round(self.low, -2) if np.abs(self.low).max() > 1e4 else np.zeros(3)
+        self._run = lru_cache(_KEPT)(self._read)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the runs that are kept: another process reads its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "_run"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what another process knows of the file."""
+        self.__dict__.update(state)
         self._run = lru_cache(_KEPT)(self._read)
 
     def parts(self) -> Iterator[PointCloud]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from subiaco_change.records import SEMANTIC_COLOURS
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
+from subiaco_geo.work.executors import Start
 from subiaco_report import evidence_pictures as evidence
 from subiaco_report import pictures
 from subiaco_report.city_map import city_map
@@ -130,8 +132,16 @@ def read_complete(directory: Path) -> ChangeDirectory:
     return change
 
 
-def build_report(directory: Path) -> Path:
+def build_report(directory: Path, start: Start = partial, viewer: Callable[[], object] | None = None) -> Path:
     """(Re)build ``report.html``, ``overview.png`` and ``summary.html`` from a change directory alone.
+
+    Parameters
+    ----------
+    directory : Path
+    start : callable, optional
+        Begins work beside this process: :meth:`subiaco_geo.work.executors.Executor.start`.
+    viewer : callable, optional
+        Waits for the 3D viewer, which the report links, where it is being written.
 
     Returns
     -------
@@ -148,23 +158,27 @@ def build_report(directory: Path) -> Path:
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)
     pictured = pictured_rows(changed, _MOST_PICTURES)
-    drawn = dict(zip(pictured["object_id"], evidence.evidence_pictures(found.epochs, pictured), strict=True))
+    drawing = start(evidence.evidence_pictures, found.epochs, pictured)
     drawn_blocks = [
         _block_context(found, block, marks) for block in fullest_blocks(blocks, marks, _MOST_BLOCKS)
     ]
+    overview = pictures.overview(found.overview, blocks, marks)
     rows = page_rows(change.table)
+    drawn = dict(zip(pictured["object_id"], drawing(), strict=True))
     chunks = picture_chunks([int(number) for number in changed["object_id"]], drawn)
     inside = len(changed) <= _MOST_INSIDE
     files = {} if inside else _block_files(drawn_blocks)
     places = places_of(rows, blocks, directory / "changes.gpkg")
     streets = streets_of(rows, directory / "changes.gpkg")
-    viewer = viewer_link(directory)
+    if viewer is not None:
+        viewer()
+    link = viewer_link(directory)
     context = report_context(change, found) | {
         "map": city_map(found.city, changed.iloc[:0]),
         "data": pack(
-            _page_document(change, found, rows, (places, streets), changed, drawn) | {"viewer": viewer}
+            _page_document(change, found, rows, (places, streets), changed, drawn) | {"viewer": link}
         ),
-        "viewer": viewer,
+        "viewer": link,
         "chunks": [json.dumps(chunk, separators=(",", ":")) for chunk in chunks] if inside else [],
         "places": sorted(set(places) - {""}, key=_by_number),
         "streets": sorted(set(streets) - {""}),
@@ -178,7 +192,7 @@ def build_report(directory: Path) -> Path:
         "evaluation": _evaluation(directory),
     }
     with whole_file(directory / "overview.png") as path:
-        path.write_bytes(pictures.overview(found.overview, blocks, marks))
+        path.write_bytes(overview)
     if inside:
         shutil.rmtree(directory / FOLDER, ignore_errors=True)
     else:

@@ -105,7 +105,7 @@ def known_transform(transform: Path | None, registration: str | None) -> NDArray
     return None if transform is None else read_transform(transform)
 
 
-def _cores() -> int:
+def cores() -> int:
     """Count the cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -146,6 +146,6 @@ def change_request(
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
     return ChangeRequest.of(
         transform=known_transform(transform, registration), given=_given(semantics, instances),
-        workers=_cores() if workers is None else workers, stages=keep_stages, redo=from_stage,
+        workers=cores() if workers is None else workers, stages=keep_stages, redo=from_stage,
         config=with_parts_disabled(model, without or ()), **same,
     )  # fmt: skip

@@ -24,6 +24,7 @@ from subiaco_bringup.cli.change_options import (
     WithoutParts,
     Workers,
     change_request,
+    cores,
 )
 from subiaco_bringup.cli.finding_box import remembered_log, say_findings
 from subiaco_bringup.cli.options import (
@@ -34,15 +35,20 @@ from subiaco_bringup.cli.options import (
     Quiet,
     Settings,
     Verbose,
+    no_collection,
     print_json,
     say,
     set_up_logging,
 )
 from subiaco_bringup.cli.progress import Progress
 from subiaco_geo.errors import InputError
+from subiaco_geo.work.executors import load_for_workers
 
 if TYPE_CHECKING:
     from subiaco_change.request import ChangeRequest
+
+#: What workers of a change run need.
+_LOADED = ("subiaco_change.tiling.worker_start", "subiaco_report.pages")
 
 
 def change(
@@ -78,9 +84,14 @@ def change(
 
     Example: subiaco change out/before out/after -o out/change
     """
-    from subiaco_change.history import run_epochs
-    from subiaco_change.job import run_change
-    from subiaco_report.pages import write_pages
+    begins = all(path.exists() for path in epochs) and (overwrite or not output.exists())
+    if begins and scheduler is None and (workers or cores()) > 1:
+        load_for_workers(_LOADED)  # on another core, while this process loads the same
+
+    with no_collection():
+        from subiaco_change.history import run_epochs
+        from subiaco_change.job import run_change
+        from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
     if len(epochs) < 2:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +35,16 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more; show the traceback of a fault.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Say only errors.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+
+
+@contextmanager
+def no_collection() -> Iterator[None]:
+    """Look for no garbage meanwhile: loading many modules takes a tenth longer with the search."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 def set_up_logging(verbose: bool, quiet: bool) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import binom
+from scipy.special import bdtr
 
 from subiaco_change.instance_splitting.one_epoch_parts import join_parts, split_by_labels, with_free
 from subiaco_change.method_numbers import NUMBERS
@@ -155,7 +155,7 @@ def _is_gone(xy: Floats, own: _Plan, seen: _Plan, passed: float, reach: float) -
     """Tell whether too many beams of the other epoch met the ground for crowns at places (M, 2) to stand."""
     through = max(passed, _share(*own.counts(xy, reach)))
     low, every = seen.counts(xy, reach)
-    return bool(binom.cdf(every - low, every, 1.0 - through) <= _CHANCE)
+    return bool(bdtr(every - low, every, 1.0 - through) <= _CHANCE)
 
 
 def _has_top(xyz: Floats, core: Ints, places: Ints, reach: float) -> bool:

@@ -89,7 +89,7 @@ def _check_codes(values: NDArray[np.generic], name: str, allowed: list[int]) -> 
 
 
 def write_labelled(
-    directory: Path, epoch: str, parts: Callable[[], Iterator[PointCloud]], *, ellipsoidal: bool = False
+    directory: Path, epoch: str, parts: Callable[[], Iterator[PointCloud]], ellipsoidal: bool = False
 ) -> int:
     """Write ``<epoch>_labelled.ply`` and ``.laz``; the LAZ adds ASPRS ``classification``.
 

@@ -9,7 +9,6 @@ import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -52,6 +51,7 @@ from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory,
 from subiaco_geo.config import StrictModel, config_hash, write_config
 from subiaco_geo.findings import SEVERITIES, Finding
 from subiaco_geo.settings import method_statement, setting_values
+from subiaco_geo.work.executors import Executor, InProcess, Start, work_beside
 from subiaco_geo.work.tasks import peak_mib
 
 _LOG = logging.getLogger(__name__)
@@ -65,7 +65,7 @@ MARKER = "run.json"
 PROJECT_FACTS = "project.json"
 #: Writes the pages and the QGIS project into a change directory that holds everything else. The caller
 #: gives it, because the report is built on this package and not the other way round.
-PageWriter = Callable[[Path], object]
+PageWriter = Callable[[Path, Start], object]
 _PACKAGES = (
     "subiaco-geo",
     "subiaco-mapping",
@@ -183,6 +183,7 @@ def write_change_directory(
     inputs: ChangeInputs,
     overwrite: bool = False,
     write_pages: PageWriter | None = None,
+    executor: Executor | None = None,
 ) -> None:
     """Write every product of a change run.
 
@@ -198,6 +199,8 @@ def write_change_directory(
         Replace an earlier directory; its reviews are carried over.
     write_pages : callable, optional
         Called last, with the directory before it gets its name, so that it appears with its pages.
+    executor : Executor, optional
+        Its workers write clouds and draw while this process writes tables.
 
     Raises
     ------
@@ -213,10 +216,17 @@ def write_change_directory(
     lost = table.iloc[:0]
     if previous is not None:
         table, lost = carry_reviews(table, previous)
-    rasters = [(build_coverage(*pair), build_lod_raster(*pair)) for pair in result.parts()]
-    coverage = join_coverage(seen for seen, _ in rasters)
-    lod = join_lod(raster for _, raster in rasters)
-    with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
+    with (
+        whole_directory(directory, overwrite=overwrite, marker=MARKER) as target,
+        work_beside(executor or InProcess()) as start,
+    ):
+        writing = {
+            epoch: start(write_labelled, target, epoch, result.reading(epoch), inputs.ellipsoidal)
+            for epoch in ("before", "after")
+        }
+        rasters = [(build_coverage(*pair), build_lod_raster(*pair)) for pair in result.parts()]
+        coverage = join_coverage(seen for seen, _ in rasters)
+        lod = join_lod(raster for _, raster in rasters)
         _write_table(target, table)
         if len(lost):
             outputs_table.write_csv(target / "reviews_without_object.csv", lost)
@@ -226,10 +236,6 @@ def write_change_directory(
                 len(lost),
             )
         _write_areas(target, table, inputs.lots, coverage)
-        points = {
-            epoch: write_labelled(target, epoch, partial(result.epoch, epoch), ellipsoidal=inputs.ellipsoidal)
-            for epoch in ("before", "after")
-        }
         if result.ground is not None:
             write_ground_change(target / "ground_change.tif", result.ground, crs)
         write_coverage(target / "coverage.tif", coverage, crs)
@@ -238,11 +244,12 @@ def write_change_directory(
             result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
+        points = {epoch: written() for epoch, written in writing.items()}
         write_json(target / "run.json", run_document(result, config, inputs, digest, points, coverage, lod))
         if (directory / PROJECT_FACTS).is_file():
             shutil.copyfile(directory / PROJECT_FACTS, target / PROJECT_FACTS)
         if write_pages is not None:
-            write_pages(target)
+            write_pages(target, start)
 
 
 def _survey_days(inputs: ChangeInputs) -> tuple[str, str]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -45,7 +47,7 @@ from subiaco_change.tiling.epoch_preparation import (
 )
 from subiaco_change.tiling.epoch_tiles import (
     EPOCHS,
-    FIELDS,
+    CutBeams,
     CutCloud,
     EpochContext,
     TilePoints,
@@ -59,7 +61,7 @@ from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, Merg
 from subiaco_change.tiling.stage_inputs import PairRegistration, in_frame, slice_of
 from subiaco_change.tiling.tile_segmentation import SegmentationParams, SegmentationSlice, prepare_tile
 from subiaco_change.view_from_above import seen_from_above
-from subiaco_change.visibility_evidence import evidence_kind
+from subiaco_change.visibility_evidence import EvidenceKind, evidence_kind
 from subiaco_geo.clouds import distance_to_box
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError, RegistrationError
@@ -68,9 +70,10 @@ from subiaco_geo.free_space.expected_visibility import occupied_columns, occupie
 from subiaco_geo.free_space.sensor_view import SensorView, described_view, spin_headings
 from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view, with_blind_arcs
 from subiaco_geo.simulated import SIMULATIONS
-from subiaco_geo.sources import Epoch
+from subiaco_geo.sources import Epoch, EpochFiles
 from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
 from subiaco_geo.trajectories import Trajectory
+from subiaco_geo.work.executors import Start, work_beside
 from subiaco_geo.work.task_runner import TaskRunner
 from subiaco_geo.work.tasks import Task
 
@@ -81,6 +84,15 @@ ALONE = "epoch"
 SIGHT = NUMBERS.tiling.beam_reach
 _HEIGHT_TILES = NUMBERS.tiling.height_tiles
 _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
+
+
+@dataclass(frozen=True)
+class _Cutting:
+    """The evidence of an epoch, and calls that wait for its cut points and for its cut beams."""
+
+    kind: EvidenceKind
+    points: Callable[[], CutCloud]
+    beams: Callable[[], CutBeams | None]
 
 
 @dataclass
@@ -172,13 +184,20 @@ class Epochs:
         self.origin = after.origin
         shared = shares_origin(before.origin, after.origin, both)
         origins = (after.origin if shared else before.origin, after.origin)
+        operations = (operation, None)
         extents, sides = [], []
-        for name, epoch, origin in zip(EPOCHS, epochs, origins, strict=True):
-            own = operation if name == "before" else None
-            found = self._cut_points(name, epoch, origin, own)
-            extents.append((found.low, found.high))
-            crs = epoch.crs if self.info.crs is None else self.info.crs
-            sides.append(self._side(name, epoch, origin, crs, found, own))
+        with TemporaryDirectory(prefix="subiaco_") as folder, work_beside(self.runner.executor) as start:
+            cutting = [
+                self._begin_cut(epoch, origin, own, start, Path(folder))
+                for epoch, origin, own in zip(epochs, origins, operations, strict=True)
+            ]
+            for name, epoch, origin, own, begun in zip(
+                EPOCHS, epochs, origins, operations, cutting, strict=True
+            ):
+                found = self._cut_points(name, epoch, begun)
+                extents.append((found.low, found.high))
+                crs = epoch.crs if self.info.crs is None else self.info.crs
+                sides.append(self._side(name, epoch, origin, crs, found, own, begun))
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
@@ -212,11 +231,27 @@ class Epochs:
         """Spacing of the points of both epochs, once they are cut."""
         return PointSpacing(*(side.spacing for side in self.sides))
 
-    def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
+    def _begin_cut(
+        self, epoch: Epoch, origin: Floats, operation: Transform | None, start: Start, folder: Path
+    ) -> _Cutting:
+        """Begin to cut points and beams of an epoch, in other processes where these can read it alike.
+
+        Given classes are counted as they are read, and operations between CRS cannot be handed on.
+        """
+        way, config, store = epoch.trajectory, self.config, self.runner.store
+        if operation is not None or not isinstance(epoch, EpochFiles) or not store.shared:
+            start = partial
+        points = start(
+            cut_cloud, store, epoch, origin, self.size, config.leaf, config.every_point, folder, operation
+        )
+        kind = evidence_kind(epoch.has_beams, way, config.evidence)
+        if kind != "observed":
+            return _Cutting(kind, points, lambda: None)
+        return _Cutting(kind, points, start(cut_beams, store, epoch, _BEAMS * self.size, folder))
+
+    def _cut_points(self, name: str, epoch: Epoch, begun: _Cutting) -> CutCloud:
         try:
-            parts = epoch.clouds(FIELDS)
-            leaf, whole = self.config.leaf, self.config.every_point
-            found = cut_cloud(self.runner, parts, origin, self.size, leaf, operation, whole=whole)
+            found = begun.points()
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
         if found.points == 0:
@@ -239,24 +274,24 @@ class Epochs:
         crs: str | None,
         cut: CutCloud,
         operation: Transform | None,
+        begun: _Cutting,
     ) -> EpochContext:
         """Cut what the evidence of an epoch rests on, and tell what tasks must know of it."""
         config = self.config.evidence
         way = epoch.trajectory
         if way is not None and operation is not None:
             way = moved_trajectory(way, operation)
-        kind = evidence_kind(epoch.has_beams, way, config)
+        kind = begun.kind
         side = EpochContext(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
         self.trails[name] = {} if kind == "observed" else self._trails(side)
         self.beams[name], self.beam_edge[name] = {}, self.size
         self._keep_poses(name, epoch, way)
         if kind == "observed":
             other = self.info.beams_crs if name == "before" else None
-            first = next(epoch.beams(), None)
-            if first is not None:
-                self.beam_edge[name] = _BEAMS * self.size
-                self.beams[name] = cut_beams(self.runner, epoch.beams(), self.beam_edge[name])
-                side = replace(side, beams_crs=other, corner=first.origin, voxel=first.voxel)
+            beams = begun.beams()
+            if beams is not None:
+                self.beam_edge[name], self.beams[name] = _BEAMS * self.size, beams.keys
+                side = replace(side, beams_crs=other, corner=beams.corner, voxel=beams.voxel)
         elif kind == "shadow":
             side = replace(side, from_above=self._from_above(name))
         elif kind == "trajectory" and way is not None:

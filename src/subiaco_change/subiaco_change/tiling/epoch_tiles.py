@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,10 @@ from subiaco_geo.clouds import PointCloud, extent_of, unpack_voxel_columns, voxe
 from subiaco_geo.crs import Transform
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.sensor_view import SensorView
+from subiaco_geo.sources import Epoch
 from subiaco_geo.tiles import split_by_tile
 from subiaco_geo.visibility import VisibilityGrid
-from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.store import Arrays, Store
 from subiaco_geo.work.task_runner import TaskRunner
 from subiaco_geo.work.tasks import Inputs
 
@@ -172,30 +173,32 @@ class CutCloud:
 
 
 def cut_cloud(
-    runner: TaskRunner,
-    parts: Iterable[PointCloud],
+    store: Store,
+    epoch: Epoch,
     origin: Floats,
     tile: float,
     leaf: float,
+    whole: bool,
+    folder: Path,
     operation: Transform | None = None,
-    *,
-    whole: bool = False,
 ) -> CutCloud:
     """Keep the points of every tile of the world, downsampled to a leaf.
 
     Parameters
     ----------
-    runner : TaskRunner
-    parts : iterable of PointCloud
-        One epoch.
+    store : Store
+        Where the tiles are kept.
+    epoch : Epoch
     origin : (3,) float64
         About which the points are kept.
     tile, leaf : float
         Edges of tiles and of voxels [m].
-    operation : Transform, optional
-        Brings the points to the CRS of the pair.
     whole : bool
         Keeps all points as well, as :class:`InputPoints`.
+    folder : Path
+        For what memory does not hold; the caller removes it.
+    operation : Transform, optional
+        Brings the points to the CRS of the pair.
 
     Raises
     ------
@@ -204,48 +207,56 @@ def cut_cloud(
     """
     low, high, points = np.full(3, np.inf), np.full(3, -np.inf), 0
     keys, inputs, sizes, spacings = {}, {}, {}, []
-    with TemporaryDirectory(prefix="subiaco_") as folder:
-        spill = Spill(Path(folder))
-        for part in parts:
-            check_finite(part)
-            world = part.world() if operation is None else operation.apply(part.world())
-            lowest, highest = extent_of(world)
-            low, high = np.minimum(low, lowest), np.maximum(high, highest)
-            points += len(part)
-            for name, members in split_by_tile(world, tile).items():
-                fields = {field: part.fields[field][members] for field in FIELDS if field in part.fields}
-                spill.add(name, {"xyz": world[members] - origin, **fields})
-        for name, arrays in spill.tiles():
-            xyz = arrays.pop("xyz")
-            thin, voxel = voxel_average(PointCloud(xyz, origin, None, arrays), leaf)
-            if whole:
-                every = InputPoints(xyz, voxel.astype(np.int32), arrays.get("intensity"))
-                inputs[name] = runner.put("input", name, every)
-            sizes[name] = len(thin)
-            keys[name] = runner.put("cut", name, TilePoints(thin.xyz, *(thin.fields.get(f) for f in FIELDS)))
-            spacings.append(neighbour_spacings(thin.xyz))
+    runner, spill = TaskRunner(store), Spill(Path(mkdtemp(dir=folder)))
+    for part in epoch.clouds(FIELDS):
+        check_finite(part)
+        world = part.world() if operation is None else operation.apply(part.world())
+        lowest, highest = extent_of(world)
+        low, high = np.minimum(low, lowest), np.maximum(high, highest)
+        points += len(part)
+        for name, members in split_by_tile(world, tile).items():
+            fields = {field: part.fields[field][members] for field in FIELDS if field in part.fields}
+            spill.add(name, {"xyz": world[members] - origin, **fields})
+    for name, arrays in spill.tiles():
+        xyz = arrays.pop("xyz")
+        thin, voxel = voxel_average(PointCloud(xyz, origin, None, arrays), leaf)
+        if whole:
+            every = InputPoints(xyz, voxel.astype(np.int32), arrays.get("intensity"))
+            inputs[name] = runner.put("input", name, every)
+        sizes[name] = len(thin)
+        keys[name] = runner.put("cut", name, TilePoints(thin.xyz, *(thin.fields.get(f) for f in FIELDS)))
+        spacings.append(neighbour_spacings(thin.xyz))
     return CutCloud(keys, inputs, sizes, low, high, points, sum(sizes.values()), joint_spacing(spacings))
 
 
-def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:
-    """Keep the voxels of beams of every tile; return keys by tile."""
-    keys = {}
-    with TemporaryDirectory(prefix="subiaco_") as folder:
-        spill = Spill(Path(folder))
-        for part in parts:
-            for name, m in _split_columns(part, size):
-                columns: dict[str, NDArray[Any]] = {
-                    "keys": part.keys[m],
-                    "hits": part.hits[m],
-                    "passes": part.passes[m],
-                }
-                if part.moving is not None:
-                    columns["moving"] = part.moving[m]
-                spill.add(name, columns)
-        for name, arrays in spill.tiles():
-            own = TileBeams(arrays["keys"], arrays["hits"], arrays["passes"], arrays.get("moving"))
-            keys[name] = runner.put("beams", name, own)
-    return keys
+@dataclass(frozen=True)
+class CutBeams:
+    """Keys of the tiles of beams, and the origin (3,) and the edge of their voxels [m]."""
+
+    keys: dict[str, str]
+    corner: Floats
+    voxel: float
+
+
+def cut_beams(store: Store, epoch: Epoch, size: float, folder: Path) -> CutBeams | None:
+    """Keep the voxels of beams of every tile; None where an epoch has none. See :func:`cut_cloud`."""
+    keys, first = {}, None
+    runner, spill = TaskRunner(store), Spill(Path(mkdtemp(dir=folder)))
+    for part in epoch.beams():
+        first = part if first is None else first
+        for name, m in _split_columns(part, size):
+            columns: dict[str, NDArray[Any]] = {
+                "keys": part.keys[m],
+                "hits": part.hits[m],
+                "passes": part.passes[m],
+            }
+            if part.moving is not None:
+                columns["moving"] = part.moving[m]
+            spill.add(name, columns)
+    for name, arrays in spill.tiles():
+        own = TileBeams(arrays["keys"], arrays["hits"], arrays["passes"], arrays.get("moving"))
+        keys[name] = runner.put("beams", name, own)
+    return None if first is None else CutBeams(keys, first.origin, first.voxel)
 
 
 def _split_columns(part: VisibilityGrid, size: float) -> Iterator[tuple[str, Ints]]:

@@ -9,10 +9,11 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from functools import partial
 from multiprocessing import forkserver, resource_tracker
 from typing import Any, Protocol
 
@@ -27,19 +28,33 @@ _LOG = logging.getLogger(__name__)
 _ATTEMPTS = 3  # pools started before lost workers are taken for a lasting fault
 _POLL = 0.1  # between two looks at a cluster whose tasks run [s]
 _PROBE = "probe/all"  # piece by which workers show that they see the store
+_KILLED = 5.0  # how long a worker that was killed may take to end [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+#: Begins work: given a function and its arguments, it returns what waits for the result.
+Start = Callable[..., Callable[[], Any]]
 
 
 class Executor(Protocol):
     """Does independent tasks in any order and tells what each cost as it ends.
 
-    ``spare`` tells whether workers would stand idle while a single task is done.
+    ``spare`` tells whether workers would stand idle while a single task is done. ``beside``: processor
+    seconds that workers spent on work that was started (:meth:`start`), and whose result was asked for.
     """
 
     spare: bool
+    beside: float
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks; the first that fails ends the run with its error."""
+        ...
+
+    def start(self, function: Callable[..., Any], *args: Any) -> Callable[[], Any]:
+        """Begin work on files that only this machine sees; call what is returned to get its result.
+
+        Workers on this machine do the work meanwhile. Without such workers it is done in that call.
+        """
         ...
 
     def close(self) -> None:
@@ -58,7 +73,7 @@ class InProcess:
     nothing, and wait for each other at full load.
     """
 
-    spare = False
+    spare, beside = False, 0.0
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks in the order given."""
@@ -67,6 +82,10 @@ class InProcess:
             with threads.limit(limits=1, user_api="blas"):
                 done = execute(store, task)
             yield done
+
+    def start(self, function: Callable[..., Any], *args: Any) -> Callable[[], Any]:
+        """Put the work off until its result is asked for."""
+        return partial(function, *args)
 
     def close(self) -> None:
         """Do nothing."""
@@ -88,13 +107,9 @@ class LocalPool:
     spare = True
 
     def __init__(self, workers: int, preload: Sequence[str] = ()) -> None:
-        self.workers = workers
+        self.workers, self.beside = workers, 0.0
         self._pool: ProcessPoolExecutor | None = None
-        self._context = multiprocessing.get_context("forkserver")  # this process may hold threads and locks
-        self._context.set_forkserver_preload(list(preload))
-        resource_tracker.ensure_running()  # unblocks SIGINT, so it starts first
-        with _one_thread(), _interrupt_blocked(), _signals_deferred():
-            forkserver.ensure_running()
+        self._context = load_for_workers(preload)
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks; what a killed worker left undone is done by a fresh one."""
@@ -127,6 +142,24 @@ class LocalPool:
             for future in futures:
                 future.cancel()
 
+    def start(self, function: Callable[..., Any], *args: Any) -> Callable[[], Any]:
+        """Let a worker do the work; function and arguments are pickled."""
+        with _one_thread(), _signals_deferred():
+            future = self._started().submit(_timed, function, *args)
+
+        def result() -> Any:
+            try:
+                found, spent = future.result()
+            except BrokenProcessPool as error:
+                raise SubiacoError(
+                    "a worker process died; if memory is short, use fewer workers, then the same command "
+                    "goes on from what is finished"
+                ) from error
+            self.beside += spent
+            return found
+
+        return result
+
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
             self._pool = ProcessPoolExecutor(self.workers, self._context, _end_with_parent)
@@ -143,9 +176,12 @@ class LocalPool:
         if self._pool is None:
             return
         pool, self._pool = self._pool, None
-        for worker in list((pool._processes or {}).values()):  # noqa: SLF001 - Python 3.14 has kill_workers
+        workers = list((pool._processes or {}).values())  # noqa: SLF001 - Python 3.14 has kill_workers
+        for worker in workers:
             worker.kill()
         pool.shutdown(wait=False, cancel_futures=True)
+        for worker in workers:  # until then they may write where files are removed next
+            worker.join(_KILLED)
 
 
 @contextmanager
@@ -158,6 +194,36 @@ def running(executor: Executor) -> Iterator[Executor]:
         raise
     finally:
         executor.close()
+
+
+def _timed(function: Callable[..., Any], *args: Any) -> tuple[Any, float]:
+    """Return a result and the processor seconds that it took."""
+    begun = time.process_time()
+    return function(*args), time.process_time() - begun
+
+
+@contextmanager
+def work_beside(executor: Executor) -> Iterator[Start]:
+    """Yield ``executor.start``; an error ends the workers, so that none writes into a folder that goes."""
+    try:
+        yield executor.start
+    except BaseException:
+        executor.stop()
+        raise
+
+
+def load_for_workers(modules: Sequence[str]) -> Any:
+    """Begin to load the modules that workers need, once for all of them; return their context.
+
+    Called early, it lets another core load them while this process loads the same. Only the first call
+    counts.
+    """
+    context = multiprocessing.get_context("forkserver")  # this process may hold threads and locks
+    context.set_forkserver_preload(list(modules))
+    resource_tracker.ensure_running()  # unblocks SIGINT, so it starts first
+    with _one_thread(), _interrupt_blocked(), _signals_deferred():
+        forkserver.ensure_running()
+    return context
 
 
 def _end_with_parent() -> None:
@@ -242,7 +308,7 @@ class Dask:
         dask.distributed is not installed, or no scheduler answers.
     """
 
-    spare = True
+    spare, beside = True, 0.0
 
     def __init__(self, address: str, timeout: float = 20.0, patience: float = 120.0) -> None:
         try:
@@ -291,6 +357,10 @@ class Dask:
                 _LOG.warning("%s: %s; waiting for %.0f s", self._address, missing, self._patience)
             elif time.monotonic() - alone_since > self._patience:
                 raise self._lost(missing)
+
+    def start(self, function: Callable[..., Any], *args: Any) -> Callable[[], Any]:
+        """Put the work off until its result is asked for: a cluster may not see this machine's files."""
+        return partial(function, *args)
 
     def _result(self, future: Any) -> TaskCost | None:
         """Return what a finished task spent; None where its worker died with the answer: it is done again.

@@ -62,6 +62,7 @@ def _hints(kind: type) -> dict[str, Any]:
     return {f.name: _required(hints[f.name]) for f in fields(kind)}
 
 
+@cache
 def _required(hint: Any) -> Any:
     """Return a type without ``None``, and what an alias or a variable of a type stands for."""
     if get_origin(hint) in (Union, UnionType):
@@ -70,10 +71,12 @@ def _required(hint: Any) -> Any:
     return hint
 
 
+@cache
 def _is_array(hint: Any) -> bool:
     return (get_origin(hint) or hint) is np.ndarray
 
 
+@cache
 def _is_result(hint: Any) -> bool:
     """Whether a type is a dataclass that holds arrays, at any depth."""
     if not (isinstance(hint, type) and is_dataclass(hint)):
@@ -143,6 +146,11 @@ class _Loaded:
         arrays, prefix = self.__dict__[_SOURCE]
         self.__dict__[name] = value = _read(name, hints[name], arrays, prefix)
         return value
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        """Pickle the result that this stands for, with all its fields."""
+        kind = _declared(type(self))
+        return kind, tuple(getattr(self, name) for name in _hints(kind))
 
 
 @cache
