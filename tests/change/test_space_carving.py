@@ -297,3 +297,42 @@ def test_new_surfaces_tell_the_sign_where_they_are_as_high_as_a_room(tall, told)
     assert (carve(*epochs, CONFIG).confirmed[0] > 0) == told
     assert (carve(*epochs[::-1], CONFIG).confirmed[1] > 0) == told
     assert carve(*epochs, CONFIG).confirmed[1] == 0
+
+
+BLOCK = [
+    sheet((0, 0, 0), (LENGTH, CELL, TALL)),
+    sheet((0, DEPTH - CELL, 0), (LENGTH, DEPTH, TALL)),
+    sheet((0, 0, 0), (CELL, DEPTH, TALL)),
+    sheet((LENGTH - CELL, 0, 0), (LENGTH, DEPTH, TALL)),
+]
+
+
+def floor_met(xy):
+    """Tell columns between the walls of the block, where beams through the windows met the floor."""
+    return ((xy > 1.0) & (xy < (LENGTH - 1.0, DEPTH - 1.0))).all(axis=1)
+
+
+def test_a_house_did_not_grow_because_one_survey_met_its_floor_and_the_other_its_ceiling():
+    room = inside(OUT["street"], OUT["west"], ((1, 1, 0), (LENGTH - 1, DEPTH - 1, TALL - CELL)))
+    through_windows = CarvingEpoch(voxels(*BLOCK), room, floor_met)
+    ceiling = sheet((1, 1, TALL - CELL), (LENGTH - 1, DEPTH - 1, TALL))
+    lit = voxels(*BLOCK).add(voxels(ceiling, occupied_in_other=False))
+    from_outside = CarvingEpoch(lit, PLAIN, nothing_met)
+    assert carve(through_windows, from_outside, CONFIG).gained.high == 0.0
+    assert carve(from_outside, through_windows, CONFIG).lost.high == 0.0
+    with rules_switched_off(["inside_of_buildings"]):
+        assert carve(through_windows, from_outside, CONFIG).gained.low > 100.0
+
+
+@pytest.mark.parametrize(("seen_free", "grew"), [(True, True), (False, False)])
+def test_a_yard_between_two_wings_is_outside_unless_a_wall_before_it_may_have_stood(seen_free, grew):
+    """The third wall closes the yard to the street; a roof covers the yard in the later survey."""
+    open_to_street = BLOCK[1:]
+    yard = inside(OUT["street"], ((1, -9, 0), (LENGTH - 1, DEPTH - 1, TALL)))
+    before = CarvingEpoch(voxels(*open_to_street), yard, floor_met)
+    upright = voxels(BLOCK[0], occupied_in_other=False)
+    front = replace(upright, normal=np.tile([0.0, -1.0, 0.0], (len(upright), 1)))
+    front = replace(front, observed=np.full(len(front), seen_free))
+    roof = voxels(sheet((1, 1, TALL - CELL), (LENGTH - 1, DEPTH - 1, TALL)), occupied_in_other=False)
+    after = CarvingEpoch(voxels(*open_to_street).add(front).add(roof), PLAIN, nothing_met)
+    assert (carve(before, after, CONFIG).gained.low > 100.0) is grew

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.trail_raster import Raster, TrailShapeConfig
 from subiaco_change.segmentation.trail_swaths import with_pieces
@@ -69,6 +70,25 @@ def test_most_of_a_standing_vehicle_beside_a_trail_stays() -> None:
     _, moved, standing = chances(street(hidden=(-1.6, 1.6, 1.5, 2.7)), trail(0.0), shell(0.0, 2.1, 7))
     assert (moved > SURE).mean() > 0.85
     assert (standing > 0.5).mean() < 0.4
+
+
+@pytest.mark.parametrize("degrees", [0.0, 40.0])
+def test_a_row_of_parked_vehicles_beside_a_trail_stays(degrees: float) -> None:
+    """The road is seen beneath the vehicles, and the row is filled: gaps of 1 m alone tell it apart."""
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    rng = np.random.default_rng(9)
+    seats = rng.uniform((-2.0, -0.7, 0.4), (2.0, 0.7, 1.1), (300, 3))
+    row = [
+        np.concatenate([shell(x, 2.1, i), seats + np.array([x, 2.1, 0.0])])
+        for i, x in enumerate(np.arange(-27, 28, 5.4))
+    ]
+    parts = [part @ turn.T for part in (street(), trail(0.0), *row)]
+    _, moved, *standing = chances(*parts)
+    assert (moved > SURE).mean() > 0.85
+    assert (np.concatenate(standing) > 0.5).mean() < 0.25
+    with rules_switched_off(["parked_rows"]):
+        assert (np.concatenate(chances(*parts)[2:]) > 0.5).mean() > 0.5
 
 
 def test_a_long_hedge_on_ground_that_it_hides_is_no_trail() -> None:

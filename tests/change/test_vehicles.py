@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.config import VehicleConfig
-from subiaco_change.segmentation.vehicles import with_edges
+from subiaco_change.segmentation.vehicles import with_cabins, with_edges
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.codes import Semantic
 
@@ -89,3 +89,39 @@ def test_a_wall_that_a_bent_map_saw_twice_is_a_building():
     wall[:, 1] += rng.choice([0.0, 0.3], 20000) + rng.normal(0, 0.02, 20000)
     wall[:, 2] += ground_z(wall[:, 0], wall[:, 1])
     assert (labels_of(wall) == Semantic.BUILDING).mean() > 0.85
+
+
+def rectangle(places):
+    return places * (4.5, 1.8)
+
+
+def oval(places):
+    return rectangle(places[np.linalg.norm(places, axis=1) < 0.5])
+
+
+def cabin(xy):
+    return np.where(np.abs(xy[:, 0] + 0.3) < 1.2, 1.5, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("outline", "top", "semantic"),
+    [
+        (rectangle, cabin, Semantic.MOBILE),
+        (rectangle, lambda xy: np.full(len(xy), 1.5), Semantic.VEGETATION),
+        (oval, lambda xy: 1.5 - 0.4 * np.abs(xy[:, 0]), Semantic.VEGETATION),
+    ],
+    ids=["car", "hedge", "shrub"],
+)
+def test_a_soft_body_with_a_cabin_is_a_car(outline, top, semantic):
+    """Seats behind windows make a car as rough as leaves."""
+    rng = np.random.default_rng(4)
+    places = rng.uniform(-0.5, 0.5, (2500, 2))
+    xy = outline(places)
+    height = rng.uniform(0.25, 1.0, len(xy)) * top(xy)
+    found = with_cabins(
+        np.column_stack([xy, height]),
+        height,
+        np.full(len(xy), Semantic.VEGETATION, np.uint8),
+        VehicleConfig(),
+    )
+    assert (found[height > VehicleConfig().split_band] == semantic).all()

@@ -229,9 +229,8 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
-    walls = other.select(~other.observed_unoccupied & (np.abs(other.normal[:, 2]) <= _LEVEL))
-    tallest = np.maximum.reduce([top, not_refuted, _tops(walls, frame)])
-    inside = _inside(below, np.arange(nz) <= frame.level(tallest)[:, :, None])
+    walls = np.minimum(np.maximum(top, not_refuted), top.max())
+    inside = _inside(below, np.arange(nz) <= frame.level(walls)[:, :, None])
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         sky = free | ((top > 0)[:, :, None] & ~below)
         return _State(below, sky & ~inside, sky & inside, top, not_refuted)
@@ -248,8 +247,8 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
 def _inside(below: Cells, walls: Cells) -> Cells:
     """Tell which cells that are not below tops have walls in all four directions: the inside of a house.
 
-    Beams reach it through windows, and meet the floor. A yard that is open at one side is outside. Walls of
-    the other epoch count where they may have stood.
+    Beams reach it through windows, and meet the floor. A yard that is open at one side is outside, and so is
+    what lies above the roof.
     """
     nothing = np.zeros_like(walls)
     around = ~below

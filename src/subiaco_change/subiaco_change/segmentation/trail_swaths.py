@@ -112,9 +112,8 @@ def _axis(body: Mask, config: TrailShapeConfig) -> tuple[Mask, Mask]:
     for angle in np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS:
         line = np.rint(steps[:, None] * np.array([np.cos(angle), np.sin(angle)])).astype(np.int64)
         held, run = _along(padded, line, half)
-        goes_on = np.minimum(held[0] - 1, held[1]) >= config.run_share * half
-        found |= goes_on
-        along = ndimage.uniform_filter(goes_on.astype(np.float32), 4 * half + 1)
+        found |= np.minimum(held[0] - 1, held[1]) >= config.run_share * half
+        along = ndimage.uniform_filter(np.where(body, held.sum(axis=0), 0).astype(np.float32), 4 * half + 1)
         length = run.sum(axis=0) * config.cell
         ends = (run[0] <= half) & (run[1] < half) & (length >= _SHORTEST) & (length <= _LONGEST)
         parked = np.where(along > most, ends, parked)
@@ -125,21 +124,21 @@ def _axis(body: Mask, config: TrailShapeConfig) -> tuple[Mask, Mask]:
 
 
 def _along(padded: Mask, line: Ints, half: int) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-    """Count cells of bodies along a line from every cell: all, and those before the first gap.
+    """Count cells of bodies along a line from every cell: all, gaps of one cell closed, and up to the first gap.
 
-    Gaps of one cell are closed. Both counts (2, rows, columns) are back, the cell itself included, and forth.
+    That gap is longer than one step. Both counts (2, rows, columns) are back, the cell itself included, and forth.
     """
     rows, columns = (size - 2 * half for size in padded.shape)
     before, after = (tuple(line[half + step]) for step in (-1, 1))
     closed = padded | (np.roll(padded, before, (0, 1)) & np.roll(padded, after, (0, 1)))
     held, run = np.zeros((2, 2, rows, columns), dtype=np.int16)
     for side, way in enumerate((line[half::-1], line[half + 1 :])):
-        unbroken = np.ones((rows, columns), dtype=np.bool_)
+        missed = np.zeros((rows, columns), dtype=np.int8)
         for row, column in way + half:
-            here = closed[row : row + rows, column : column + columns]
-            held[side] += here
-            unbroken &= here
-            run[side] += unbroken
+            there = slice(row, row + rows), slice(column, column + columns)
+            held[side] += closed[there]
+            missed = np.where(padded[there] & (missed < 2), 0, missed + 1)
+            run[side] += missed < 2
     return held, run
 
 
