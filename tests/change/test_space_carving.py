@@ -324,15 +324,26 @@ def test_a_house_did_not_grow_because_one_survey_met_its_floor_and_the_other_its
         assert carve(through_windows, from_outside, CONFIG).gained.low > 100.0
 
 
-@pytest.mark.parametrize(("seen_free", "grew"), [(True, True), (False, False)])
-def test_a_yard_between_two_wings_is_outside_unless_a_wall_before_it_may_have_stood(seen_free, grew):
-    """The third wall closes the yard to the street; a roof covers the yard in the later survey."""
-    open_to_street = BLOCK[1:]
+def test_a_yard_that_is_open_to_the_street_is_outside():
+    """A wall closes it in the later survey, and a roof covers it."""
     yard = inside(OUT["street"], ((1, -9, 0), (LENGTH - 1, DEPTH - 1, TALL)))
-    before = CarvingEpoch(voxels(*open_to_street), yard, floor_met)
-    upright = voxels(BLOCK[0], occupied_in_other=False)
-    front = replace(upright, normal=np.tile([0.0, -1.0, 0.0], (len(upright), 1)))
-    front = replace(front, observed=np.full(len(front), seen_free))
-    roof = voxels(sheet((1, 1, TALL - CELL), (LENGTH - 1, DEPTH - 1, TALL)), occupied_in_other=False)
-    after = CarvingEpoch(voxels(*open_to_street).add(front).add(roof), PLAIN, nothing_met)
-    assert (carve(before, after, CONFIG).gained.low > 100.0) is grew
+    before = CarvingEpoch(voxels(*BLOCK[1:]), yard, floor_met)
+    roof = sheet((1, 1, TALL - CELL), (LENGTH - 1, DEPTH - 1, TALL))
+    new = voxels(BLOCK[0], roof, occupied_in_other=False)
+    after = CarvingEpoch(voxels(*BLOCK[1:]).add(new), PLAIN, nothing_met)
+    assert carve(before, after, CONFIG).gained.low > 100.0
+
+
+def test_a_storey_on_a_house_with_walls_on_all_sides_has_its_volume():
+    above = inside(OUT["street"], OUT["west"], ((-9, -9, TALL), (30, 30, HIGH)))
+    roof = sheet((0, 0, TALL - CELL), (LENGTH, DEPTH, TALL))
+    before = CarvingEpoch(voxels(*BLOCK, roof), above, nothing_met)
+    upper = [wall + np.array([0.0, 0.0, TALL]) for wall in (*BLOCK, roof)]
+    after = CarvingEpoch(
+        voxels(*BLOCK, roof).add(voxels(*upper, occupied_in_other=False)),
+        inside(OUT["street"], OUT["west"], ((-9, -9, 2 * TALL), (30, 30, HIGH))),
+        nothing_met,
+    )
+    found = carve(before, after, CONFIG)
+    assert found.gained.low == pytest.approx(LENGTH * DEPTH * TALL, rel=0.2)
+    assert found.height.low > 0.8 * TALL

@@ -310,16 +310,17 @@ class VehicleConfig(StrictModel):
         description="Height of the uppermost band whose width is compared with the width of the body [m]",
     )
     cabin_fill: float = Field(
-        0.65,
+        0.87,
         gt=0,
         le=1,
-        description="Smallest fraction of the rectangle around a soft body that a car fills, seen from above",
+        description="Smallest area of the convex outline of a car that looks like a plant, seen from above, as "
+        "a fraction of the rectangle around it",
     )
     cabin_share: float = Field(
         0.75,
         gt=0,
         le=1,
-        description="Area of the uppermost band of a soft body, as a fraction of the area of the body, below "
+        description="Area of the uppermost band of such a body, as a fraction of the area of the body, below "
         "which the band is the roof of a car",
     )
     leafy: float = Field(

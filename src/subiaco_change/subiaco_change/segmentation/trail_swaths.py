@@ -124,9 +124,9 @@ def _axis(body: Mask, config: TrailShapeConfig) -> tuple[Mask, Mask]:
 
 
 def _along(padded: Mask, line: Ints, half: int) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-    """Count cells of bodies along a line from every cell: all, gaps of one cell closed, and up to the first gap.
+    """Count cells of bodies along a line from every cell: all of them, and those up to the first gap.
 
-    That gap is longer than one step. Both counts (2, rows, columns) are back, the cell itself included, and forth.
+    Gaps of one cell are closed. Both counts (2, rows, columns) are back, the cell itself included, and forth.
     """
     rows, columns = (size - 2 * half for size in padded.shape)
     before, after = (tuple(line[half + step]) for step in (-1, 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -242,13 +243,14 @@ def with_cabins(
 
 
 def _has_cabin(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
-    """Tell a body that fills the rectangle around it, seen from above, and that has a smaller roof."""
+    """Tell a body whose outline fills the rectangle around it, seen from above, and that has a smaller roof."""
     roof = height > quantile_of(height, 0.98) - config.top_band
     cells = np.floor(box_coordinates(xyz[:, :2]) / config.split_gap).astype(np.int64)
     body, top = (len(np.unique(places, axis=0)) for places in (cells, cells[roof]))
-    length, width = box_sides(xyz[:, :2])
-    filled = body * config.split_gap**2 > config.cabin_fill * length * width
-    return bool(filled and top < config.cabin_share * body)
+    outline = shapely.MultiPoint(xyz[:, :2]).convex_hull.area
+    return bool(
+        top < config.cabin_share * body and outline > config.cabin_fill * np.prod(box_sides(xyz[:, :2]))
+    )
 
 
 @switchable("edges_of_vehicles", _classes_as_they_are)
