@@ -229,8 +229,7 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
-    walls = np.minimum(np.maximum(top, not_refuted), top.max())
-    inside = _inside(below, np.arange(nz) <= frame.level(walls)[:, :, None])
+    inside = _inside(below, _walls(np.maximum(top, not_refuted), other, frame))
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         sky = free | ((top > 0)[:, :, None] & ~below)
         return _State(below, sky & ~inside, sky & inside, top, not_refuted)
@@ -243,19 +242,36 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     return _State(below & ~hollow, free & ~hollow, hollow, top, not_refuted)
 
 
-@switchable("inside_of_buildings", none_like_second)
-def _inside(below: Cells, walls: Cells) -> Cells:
+def _walls(top: Floats, other: Voxels, frame: _Frame) -> tuple[Cells, Cells]:
+    """Return the cells below an epoch's own tops (nx, ny), and those with walls that it may not have seen.
+
+    Such walls are of the other epoch, and their places were not observed. They are no higher than its own.
+    """
+    unseen = other.select(~other.observed & (np.abs(other.normal[:, 2]) <= _LEVEL))
+    tops = np.minimum(top, top.max()), np.minimum(np.maximum(top, _tops(unseen, frame)), top.max())
+    own, possible = (np.arange(frame.shape[2]) <= frame.level(walls)[:, :, None] for walls in tops)
+    return own, possible
+
+
+def _nothing_inside(below: Cells, _: tuple[Cells, Cells]) -> Cells:
+    """Return no cells."""
+    return np.zeros_like(below)
+
+
+@switchable("inside_of_buildings", _nothing_inside)
+def _inside(below: Cells, walls: tuple[Cells, Cells]) -> Cells:
     """Tell which cells that are not below tops have walls in all four directions: the inside of a house.
 
     Beams reach it through windows, and meet the floor. A yard that is open at one side is outside, and so is
-    what lies above the roof.
+    what lies above the roof. One of the four ``walls`` may be one that the epoch did not see.
     """
-    nothing = np.zeros_like(walls)
-    around = ~below
-    for axis in (0, 1):
-        around &= _follows(walls, nothing, axis)
-        around &= np.flip(_follows(np.flip(walls, axis), nothing, axis), axis)
-    return around
+    sides = [np.zeros(below.shape, dtype=np.int64) for _ in walls]
+    for count, solid in zip(sides, walls, strict=True):
+        nothing = np.zeros_like(solid)
+        for axis in (0, 1):
+            count += _follows(solid, nothing, axis)
+            count += np.flip(_follows(np.flip(solid, axis), nothing, axis), axis)
+    return np.asarray(~below & (sides[0] >= 3) & (sides[1] == 4))
 
 
 @switchable("cells_beside_surfaces", none_like_second)

@@ -243,7 +243,7 @@ def with_cabins(
 
 
 def _has_cabin(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
-    """Tell a body whose outline fills the rectangle around it, seen from above, and that has a smaller roof."""
+    """Tell a body whose outline fills the rectangle around it, and that has a smaller roof."""
     roof = height > quantile_of(height, 0.98) - config.top_band
     cells = np.floor(box_coordinates(xyz[:, :2]) / config.split_gap).astype(np.int64)
     body, top = (len(np.unique(places, axis=0)) for places in (cells, cells[roof]))
