@@ -265,13 +265,18 @@ def _inside(below: Cells, walls: tuple[Cells, Cells]) -> Cells:
     Beams reach it through windows, and meet the floor. A yard that is open at one side is outside, and so is
     what lies above the roof. One of the four ``walls`` may be one that the epoch did not see.
     """
-    sides = [np.zeros(below.shape, dtype=np.int64) for _ in walls]
-    for count, solid in zip(sides, walls, strict=True):
-        nothing = np.zeros_like(solid)
-        for axis in (0, 1):
-            count += _follows(solid, nothing, axis)
-            count += np.flip(_follows(np.flip(solid, axis), nothing, axis), axis)
-    return np.asarray(~below & (sides[0] >= 3) & (sides[1] == 4))
+    own, possible = (_sides(solid) for solid in walls)
+    return np.asarray(~below & (own >= 3) & (possible == 4))
+
+
+def _sides(walls: Cells) -> Ints:
+    """Count the directions of the grid in which each cell has a wall."""
+    nothing, count = np.zeros_like(walls), np.zeros(walls.shape, dtype=np.int64)
+    for axis in (0, 1):
+        for turned in (walls, np.flip(walls, axis)):
+            behind = _follows(turned, nothing, axis)
+            count += behind if turned is walls else np.flip(behind, axis)
+    return count
 
 
 @switchable("cells_beside_surfaces", none_like_second)

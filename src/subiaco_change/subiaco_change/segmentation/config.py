@@ -313,8 +313,8 @@ class VehicleConfig(StrictModel):
         0.87,
         gt=0,
         le=1,
-        description="Smallest area of the convex outline of a car that looks like a plant, as a fraction of the "
-        "rectangle around it, seen from above",
+        description="Smallest area of the convex outline of a car that looks like a plant, as a fraction of "
+        "the rectangle around it, seen from above",
     )
     cabin_share: float = Field(
         0.75,
