@@ -106,8 +106,12 @@ class TrailSwathsNumbers(StrictModel):
     shortest_parked: float = Field(
         3.0, description="Length of the shortest vehicle of a row of parked vehicles beside a trail [m]"
     )
-    longest_parked: float = Field(6.5, description="Length of the longest vehicle of such a row [m]")
-    narrowest_parked: float = Field(0.9, description="Width of the narrowest vehicle of such a row [m]")
+    longest_parked: float = Field(
+        6.5, description="Length of the longest vehicle of a row of parked vehicles [m]"
+    )
+    narrowest_parked: float = Field(
+        0.9, description="Width of the narrowest vehicle of a row of parked vehicles [m]"
+    )
     taller: float = Field(
         0.5,
         description="Height above a ghost trail from which a point does not belong to the trail [m]",

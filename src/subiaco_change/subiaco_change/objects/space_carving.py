@@ -154,19 +154,20 @@ class _State:
     """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none.
 
     ``not_refuted`` (nx, ny) is the top of what the other epoch has above it and it did not see free [m].
-    ``hollow`` was seen free below a top or between walls on all sides: below a canopy, or behind a window. It
-    is neither solid nor known to be outside.
+    ``hollow`` lies below a top and was seen free: below a canopy, or behind a window. It is neither solid nor
+    known to be outside. ``indoors`` was seen free between walls on all sides, and is not outside either.
     """
 
     solid: Cells
     free: Cells
     hollow: Cells
+    indoors: Cells
     top: Floats
     not_refuted: Floats
 
     @property
     def unknown(self) -> Cells:
-        return ~(self.solid | self.free | self.hollow)
+        return ~(self.solid | self.free | self.hollow | self.indoors)
 
 
 def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> Carved:
@@ -232,14 +233,14 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     inside = _inside(below, _walls(np.maximum(top, not_refuted), other, frame))
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         sky = free | ((top > 0)[:, :, None] & ~below)
-        return _State(below, sky & ~inside, sky & inside, top, not_refuted)
+        return _State(below, sky & ~inside, np.zeros_like(below), sky & inside, top, not_refuted)
     ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
     height = frame.foot.ravel()[column] + frame.levels[level]
     free[ask] = epoch.empty(np.column_stack([middles[column], height]))
-    hollow = free & (below | inside)
-    return _State(below & ~hollow, free & ~hollow, hollow, top, not_refuted)
+    hollow, outside = free & below, free & ~below & ~inside
+    return _State(below & ~hollow, outside, hollow, free & inside, top, not_refuted)
 
 
 def _walls(top: Floats, other: Voxels, frame: _Frame) -> tuple[Cells, Cells]:
@@ -509,7 +510,7 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
 
 def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[Floats, Floats]:
     """Lowest and highest possible top (nx, ny) of every column [m]; inf where no free cell is above."""
-    bottom = np.where(state.free, frame.levels - 0.5 * frame.rise, np.inf)
+    bottom = np.where(state.free | state.indoors, frame.levels - 0.5 * frame.rise, np.inf)
     above = np.where(bottom >= state.top[:, :, None] - frame.rise, bottom, np.inf).min(axis=2)
     near = rule_mask("roof_gap", above <= state.top + config.roof_gap)
     high = np.where(near, state.top, np.maximum(above, state.top))

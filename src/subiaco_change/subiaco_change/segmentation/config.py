@@ -320,7 +320,7 @@ class VehicleConfig(StrictModel):
         0.75,
         gt=0,
         le=1,
-        description="Area of the uppermost band of such a body, as a fraction of the area of the body, below "
+        description="Area of the uppermost band of a car-sized plant, as a fraction of its whole area, below "
         "which the band is the roof of a car",
     )
     leafy: float = Field(
