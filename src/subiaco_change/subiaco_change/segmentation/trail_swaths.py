@@ -120,7 +120,10 @@ def _axis(body: Mask, config: TrailShapeConfig) -> tuple[Mask, Mask]:
         most = np.maximum(most, along)
     parked = rule_mask("parked_rows", parked & body)
     wide = max(round(_NARROWEST / config.cell), 1)
-    return found & ~parked, ndimage.binary_opening(parked, np.ones((wide, wide)))
+    labels, count = ndimage.label(ndimage.binary_opening(parked, np.ones((wide, wide))), AROUND)
+    large = np.bincount(labels.ravel(), minlength=count + 1) * config.cell**2 >= _VEHICLE
+    large[0] = False
+    return found & ~large[labels], large[labels]
 
 
 def _along(padded: Mask, line: Ints, half: int) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
