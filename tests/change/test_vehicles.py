@@ -103,6 +103,17 @@ def cabin(xy):
     return np.where(np.abs(xy[:, 0] + 0.3) < 1.2, 1.5, 0.9)
 
 
+def test_a_piece_of_a_trail_of_the_size_of_a_car_is_no_car():
+    """Every metre a sweep met the front of a vehicle that passed."""
+    fronts = [np.column_stack([np.full(9, x), np.linspace(-0.9, 0.9, 9)]) for x in np.arange(-2.1, 2.2, 1.05)]
+    xy = np.repeat(np.concatenate(fronts), 2, axis=0)
+    height = np.tile([0.5, 0.9], len(xy) // 2)
+    height[:2] = 1.5
+    plants = np.full(len(xy), Semantic.VEGETATION, dtype=np.uint8)
+    found = with_cabins(np.column_stack([xy, height]), height, plants, VehicleConfig())
+    assert (found == Semantic.VEGETATION).all()
+
+
 @pytest.mark.parametrize(
     ("outline", "top", "semantic"),
     [

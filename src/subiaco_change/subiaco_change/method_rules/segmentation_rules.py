@@ -229,7 +229,11 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         "cabins",
         _HERE,
         "A plant of the size of a car that fills the rectangle around it and has a smaller roof is a car.",
-        ("semantics.vehicles.cabin_fill", "semantics.vehicles.cabin_share"),
+        (
+            "semantics.vehicles.cabin_outline",
+            "semantics.vehicles.cabin_fill",
+            "semantics.vehicles.cabin_share",
+        ),
     ),
     Rule(
         "edges_of_vehicles",

@@ -309,12 +309,19 @@ class VehicleConfig(StrictModel):
         gt=0,
         description="Height of the uppermost band whose width is compared with the width of the body [m]",
     )
-    cabin_fill: float = Field(
+    cabin_outline: float = Field(
         0.87,
         gt=0,
         le=1,
         description="Smallest area of the convex outline of a car that looks like a plant, as a fraction of "
         "the rectangle around it, seen from above",
+    )
+    cabin_fill: float = Field(
+        0.6,
+        gt=0,
+        le=1,
+        description="Smallest fraction of the rectangle around a car that looks like a plant in which it has "
+        "points, seen from above; pieces of ghost trails have fewer",
     )
     cabin_share: float = Field(
         0.75,

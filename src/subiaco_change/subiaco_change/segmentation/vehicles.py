@@ -247,10 +247,10 @@ def _has_cabin(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
     roof = height > quantile_of(height, 0.98) - config.top_band
     cells = np.floor(box_coordinates(xyz[:, :2]) / config.split_gap).astype(np.int64)
     body, top = (len(np.unique(places, axis=0)) for places in (cells, cells[roof]))
+    rectangle = float(np.prod(box_sides(xyz[:, :2])))
     outline = shapely.MultiPoint(xyz[:, :2]).convex_hull.area
-    return bool(
-        top < config.cabin_share * body and outline > config.cabin_fill * np.prod(box_sides(xyz[:, :2]))
-    )
+    filled = body * config.split_gap**2 > config.cabin_fill * rectangle
+    return bool(filled and outline > config.cabin_outline * rectangle and top < config.cabin_share * body)
 
 
 @switchable("edges_of_vehicles", _classes_as_they_are)
