@@ -317,7 +317,7 @@ class VehicleConfig(StrictModel):
         "the rectangle around it, seen from above",
     )
     cabin_fill: float = Field(
-        0.6,
+        0.75,
         gt=0,
         le=1,
         description="Smallest fraction of the rectangle around a car that looks like a plant in which it has "
