@@ -87,7 +87,7 @@ def test_a_row_of_parked_vehicles_beside_a_trail_stays(degrees: float) -> None:
     _, moved, *standing = chances(*parts)
     assert (moved > SURE).mean() > 0.75
     assert (np.concatenate(standing) > 0.5).mean() < 0.1
-    with rules_switched_off(["parked_rows"]):
+    with rules_switched_off(["parked_beside_trails"]):
         assert (np.concatenate(chances(*parts)[2:]) > 0.5).mean() > 0.5
 
 

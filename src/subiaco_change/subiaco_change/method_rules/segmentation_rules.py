@@ -86,7 +86,7 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "parked_rows",
+        "parked_beside_trails",
         _HERE,
         "In a row of parked vehicles each line of cells along the street ends at both ends of a vehicle; that"
         " of a trail goes on.",

@@ -118,7 +118,7 @@ def _axis(body: Mask, config: TrailShapeConfig) -> tuple[Mask, Mask]:
         ends = (run[0] <= half) & (run[1] < half) & (length >= _SHORTEST) & (length <= _LONGEST)
         parked = np.where(along > most, ends, parked)
         most = np.maximum(most, along)
-    parked = rule_mask("parked_rows", parked & body)
+    parked = rule_mask("parked_beside_trails", parked & body)
     wide = max(round(_NARROWEST / config.cell), 1)
     labels, count = ndimage.label(ndimage.binary_opening(parked, np.ones((wide, wide))), AROUND)
     large = np.bincount(labels.ravel(), minlength=count + 1) * config.cell**2 >= _VEHICLE
