@@ -28,6 +28,7 @@ from subiaco_change.decisions.vegetation_null import (
     null_of,
     null_words,
 )
+from subiaco_change.objects.known_space import KnownSpace
 from subiaco_geo.codes import Change
 
 NULL = VegetationNullConfig()
@@ -141,17 +142,19 @@ def test_surface_of_one_epoch_alone_is_what_has_nothing_of_the_other_near_it():
     def known_outside(places):
         return np.where(np.linalg.norm(places - (0.0, 0.0, 5.0), axis=1) > 2.2, 0.9, 0.0)
 
-    assert free_shell(large, small, known_outside, PlantConfig()) > 0.9
-    assert free_shell(small, large, known_outside, PlantConfig(shell=0.6)) == 0.5
-    assert free_shell(large, small, None, PlantConfig()) == 1.0
+    assert free_shell(large, KnownSpace(small, known_outside), PlantConfig()) > 0.9
+    assert free_shell(small, KnownSpace(large, known_outside), PlantConfig(shell=0.6)) == 0.5
+    assert free_shell(large, KnownSpace(small, None), PlantConfig()) == 1.0
 
 
 @pytest.mark.parametrize(("count", "least", "most"), [(3, 0.6, 0.6), (500, 0.9, 1.0)])
 def test_many_places_are_surer_than_few_and_places_without_beams_never_are(count, least, most):
     leaves, nothing = crown(count, 2.0, 1), np.zeros((0, 3))
-    together = free_shell(leaves, nothing, lambda p: np.full(len(p), 0.6), PlantConfig())
+    together = free_shell(leaves, KnownSpace(nothing, lambda p: np.full(len(p), 0.6)), PlantConfig())
     assert least - 1e-9 <= together <= most + 1e-9
-    assert free_shell(leaves, nothing, lambda p: np.full(len(p), 0.5), PlantConfig()) == pytest.approx(0.5)
+    assert free_shell(
+        leaves, KnownSpace(nothing, lambda p: np.full(len(p), 0.5)), PlantConfig()
+    ) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("seed", range(5))

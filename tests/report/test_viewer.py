@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from subiaco_change.outputs.clouds import read_labelled
 from subiaco_geo.codes import CHANGED_LABELS
-from subiaco_report import pages
+from subiaco_report import page
 from subiaco_report.viewer import build, octree
 from subiaco_report.viewer.build import build_viewer, update_viewer, viewer_link
 from subiaco_report.viewer.octree import GRID, NodeKey, RootCube, nodes_of
@@ -166,7 +166,7 @@ def test_large_clouds_get_a_viewer_only_when_it_is_asked_for(change_directory, t
     shutil.rmtree(copy / "viewer")
     monkeypatch.setattr(build, "AUTOMATIC_POINTS", 10)
     assert update_viewer(copy) is None
-    pages.build_report(copy)
+    page.build_report(copy)
     assert "3D view</a>" not in (copy / "report.html").read_text().split("<script")[0]
     build_viewer(copy)
     assert viewer_link(copy) == "viewer/index.html"

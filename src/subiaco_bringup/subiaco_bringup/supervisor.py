@@ -9,14 +9,13 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from subiaco_bringup.graph import GraphSpec, NodeSpec, process_command
-from subiaco_bringup.signals import sigterm_interrupts
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
+from subiaco_geo.signals import interrupt_blocked, sigterm_interrupts
 from subiaco_ros.supervision import CHANNEL, NodeProgress, ReportListener
 
 LOGGER = logging.getLogger(__name__)
@@ -71,7 +70,7 @@ class NodeProcess:
         self._tail: list[str] = []
         self._progress = progress
         reading, writing = os.pipe()
-        with _interrupt_blocked():
+        with interrupt_blocked():  # one that comes during its imports would break them; run_node unblocks it
             self._process = subprocess.Popen(
                 process_command(spec),
                 env={**environment, CHANNEL: str(writing)},
@@ -156,19 +155,6 @@ def failure(process: NodeProcess) -> SubiacoError:
     LOGGER.debug("last lines of %s:\n%s", process.spec.name, process.tail)
     last = process.tail.splitlines()[-1:] or ["it said nothing"]
     return SubiacoError(f"node {process.spec.name} {how}: {last[0]}")
-
-
-@contextmanager
-def _interrupt_blocked() -> Iterator[None]:
-    """Let a process start with SIGINT blocked: one that comes during its imports would break them.
-
-    :func:`subiaco_ros.node_process.run_node` unblocks it, and a pending one arrives.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @dataclass(frozen=True)

@@ -132,16 +132,8 @@ def read_complete(directory: Path) -> ChangeDirectory:
     return change
 
 
-def build_report(directory: Path, start: Start = partial, viewer: Callable[[], object] | None = None) -> Path:
+def build_report(directory: Path) -> Path:
     """(Re)build ``report.html``, ``overview.png`` and ``summary.html`` from a change directory alone.
-
-    Parameters
-    ----------
-    directory : Path
-    start : callable, optional
-        Begins work beside this process: :meth:`subiaco_geo.work.executors.Executor.start`.
-    viewer : callable, optional
-        Waits for the 3D viewer, which the report links, where it is being written.
 
     Returns
     -------
@@ -153,7 +145,28 @@ def build_report(directory: Path, start: Start = partial, viewer: Callable[[], o
     InputError
         The directory is not a complete change directory.
     """
-    change = read_complete(directory)
+    return write_report(read_complete(directory))
+
+
+def write_report(
+    change: ChangeDirectory, start: Start = partial, viewer: Callable[[], object] | None = None
+) -> Path:
+    """Write the files of :func:`build_report` into a change directory, of :func:`read_complete`.
+
+    Parameters
+    ----------
+    change : ChangeDirectory
+    start : callable, optional
+        Begins work beside this process: :meth:`subiaco_geo.work.executors.Executor.start`.
+    viewer : callable, optional
+        Waits for the 3D viewer, which the report links, where it is being written.
+
+    Returns
+    -------
+    Path
+        The report.
+    """
+    directory = change.path
     changed = changed_rows(change.table)
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from subiaco_change.outputs.rasters import read_coverage
 from subiaco_geo.work.executors import Start
-from subiaco_report.page import build_report, read_complete
+from subiaco_report.page import read_complete, write_report
 from subiaco_report.qgis_project import PROJECT, write_project
 from subiaco_report.viewer.build import update_viewer
 
@@ -35,7 +35,7 @@ def write_pages(directory: Path, start: Start = partial) -> Path:
         The directory is not a complete change directory.
     """
     change = read_complete(directory)  # nothing is written of a directory that the report would refuse
-    page = build_report(directory, start, start(update_viewer, directory))
+    page = write_report(change, start, start(update_viewer, directory))
     if not (directory / PROJECT).exists():
         write_project(directory, change.run["crs"], read_coverage(directory / "coverage.tif").bounds)
     return page

@@ -105,8 +105,10 @@ def known_transform(transform: Path | None, registration: str | None) -> NDArray
     return None if transform is None else read_transform(transform)
 
 
-def cores() -> int:
-    """Count the cores that this process may use."""
+def worker_count(workers: int | None) -> int:
+    """Return the number of workers that is asked for, or that of the cores that this process may use."""
+    if workers is not None:
+        return workers
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -146,6 +148,6 @@ def change_request(
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
     return ChangeRequest.of(
         transform=known_transform(transform, registration), given=_given(semantics, instances),
-        workers=cores() if workers is None else workers, stages=keep_stages, redo=from_stage,
+        workers=worker_count(workers), stages=keep_stages, redo=from_stage,
         config=with_parts_disabled(model, without or ()), **same,
     )  # fmt: skip

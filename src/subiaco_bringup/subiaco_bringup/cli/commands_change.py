@@ -24,7 +24,7 @@ from subiaco_bringup.cli.change_options import (
     WithoutParts,
     Workers,
     change_request,
-    cores,
+    worker_count,
 )
 from subiaco_bringup.cli.finding_box import remembered_log, say_findings
 from subiaco_bringup.cli.options import (
@@ -85,7 +85,7 @@ def change(
     Example: subiaco change out/before out/after -o out/change
     """
     begins = all(path.exists() for path in epochs) and (overwrite or not output.exists())
-    if begins and scheduler is None and (workers or cores()) > 1:
+    if begins and scheduler is None and worker_count(workers) > 1:
         load_for_workers(_LOADED)  # on another core, while this process loads the same
 
     with no_collection():

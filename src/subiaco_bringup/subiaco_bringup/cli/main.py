@@ -20,10 +20,10 @@ from subiaco_bringup.cli import (
     commands_record,
     commands_survey,
 )
-from subiaco_bringup.signals import sigterm_interrupts
 from subiaco_geo import __version__
 from subiaco_geo.disk import is_disk_full
 from subiaco_geo.errors import SubiacoError
+from subiaco_geo.signals import sigterm_interrupts
 
 EPILOG = """\b
 A survey in four commands:

@@ -21,7 +21,7 @@ from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNu
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
-from subiaco_change.objects.known_space import ALL_FREE, Certainty, Free, KnownSpaces
+from subiaco_change.objects.known_space import ALL_FREE, KnownSpace, KnownSpaces
 from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.objects.plant_tops import TopChange, TopConfig, change_of_tops
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
@@ -169,9 +169,9 @@ def measure_plant(
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
     old, new = spaces
-    lost = free_shell(first, new.standing, new.free, config, new.certain)
+    lost = free_shell(first, new, config)
     lost = min(lost, absence(before, (), spaces))
-    gained = free_shell(second, old.standing, old.free, config, old.certain)
+    gained = free_shell(second, old, config)
     gained = min(gained, absence((), after, spaces))
     tops = _tops(first, second, spaces, config)
     first, second, density = equal_density(first, second, config)
@@ -226,31 +226,25 @@ def _tops(before: Floats, after: Floats, spaces: KnownSpaces, config: PlantConfi
     return change_of_tops(before, after, spaces, config.tops)
 
 
-def free_shell(
-    xyz: Floats,
-    standing: Floats,
-    free: Free | None,
-    config: PlantConfig,
-    certain: Certainty | None = None,
-) -> float:
+def free_shell(xyz: Floats, other: KnownSpace, config: PlantConfig) -> float:
     """Return how probable it is that the surface that one epoch alone has was free in the other.
 
-    Of points (N, 3) with no standing point (M, 3) of the other epoch within ``config.shell``, taken together
-    as the places of an object are; 0.5 where there are none. Surface that the other epoch did not look at
-    may have stood there as well.
+    Of points (N, 3) with no standing point of the other epoch within ``config.shell``, taken together as the
+    places of an object are; 0.5 where there are none. Surface that the other epoch did not look at may have
+    stood there as well.
     """
-    if free is None:
+    if other.free is None:
         return 1.0
     alone = xyz[:: -(-len(xyz) // _SAMPLE)]
-    near = standing[in_box_around(standing, alone, config.shell)]
+    near = other.standing[in_box_around(other.standing, alone, config.shell)]
     if len(near):
         alone = alone[np.isinf(cKDTree(near).query(alone, distance_upper_bound=config.shell)[0])]
     if len(alone) == 0:
         return _NOT_KNOWN
-    odds = logit(np.clip(free(alone), 1.0 - _MOST, _MOST))
+    odds = logit(np.clip(other.free(alone), 1.0 - _MOST, _MOST))
     chance = float(expit(odds.mean()))
     together = pooled(chance, len(np.unique(voxel_keys(voxel_indices(alone, config.voxel)))))
-    return mean_certainty(certain, alone) * together
+    return mean_certainty(other.certain, alone) * together
 
 
 def _as_dense_as_they_are(before: Floats, after: Floats, *_: object) -> tuple[Floats, Floats, float]:

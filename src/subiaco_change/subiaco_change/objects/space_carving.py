@@ -16,7 +16,7 @@ epoch knows is no evidence.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,6 +143,10 @@ class _Frame:
         """Highest cells whose middles surfaces at heights above the ground reach; -1 below the lowest."""
         return np.floor((heights + _TOP) / self.rise - 0.5).astype(np.int64)
 
+    def below(self, tops: Floats) -> Cells:
+        """Tell which cells lie below tops (nx, ny) above the ground [m]."""
+        return np.asarray(np.arange(self.shape[2]) <= self.level(tops)[:, :, None])
+
     @property
     def volume(self) -> float:
         """Volume of a cell [m3]."""
@@ -226,7 +230,7 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     own = epoch.voxels.add(_shared(other, epoch))
     top = _tops(own, frame)
     not_refuted = _not_refuted(other, top, frame)
-    below = np.arange(nz) <= frame.level(top)[:, :, None]
+    below = frame.below(top)
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
@@ -244,14 +248,13 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
 
 
 def _walls(top: Floats, other: Voxels, frame: _Frame) -> tuple[Cells, Cells]:
-    """Return the cells below an epoch's own tops (nx, ny), and those with walls that it may not have seen.
+    """Return the cells below the known tops (nx, ny) of an epoch, and those with walls it may not have seen.
 
-    Such walls are of the other epoch, and their places were not observed. They are no higher than its own.
+    The latter are of the other epoch, and their places were not observed. They are no higher than the known.
     """
     unseen = other.select(~other.observed & (np.abs(other.normal[:, 2]) <= _LEVEL))
-    tops = np.minimum(top, top.max()), np.minimum(np.maximum(top, _tops(unseen, frame)), top.max())
-    own, possible = (np.arange(frame.shape[2]) <= frame.level(walls)[:, :, None] for walls in tops)
-    return own, possible
+    possible = np.minimum(np.maximum(top, _tops(unseen, frame)), top.max())
+    return frame.below(top), frame.below(possible)
 
 
 def _nothing_inside(below: Cells, _: tuple[Cells, Cells]) -> Cells:
@@ -272,12 +275,7 @@ def _inside(below: Cells, walls: tuple[Cells, Cells]) -> Cells:
 
 def _sides(walls: Cells) -> Ints:
     """Count the directions of the grid in which each cell has a wall."""
-    nothing, count = np.zeros_like(walls), np.zeros(walls.shape, dtype=np.int64)
-    for axis in (0, 1):
-        for turned in (walls, np.flip(walls, axis)):
-            behind = _follows(turned, nothing, axis)
-            count += behind if turned is walls else np.flip(behind, axis)
-    return count
+    return np.sum([*_ways(walls, np.zeros_like(walls))], axis=(0, 1))
 
 
 @switchable("cells_beside_surfaces", none_like_second)
@@ -346,13 +344,16 @@ def _enclosed(walls: Cells, stops: Cells) -> Cells:
     Two walls that meet are enough, opposite ones are not needed: of most wings a street shows the front
     and a side. Behind a single wall nothing tells how deep a building is.
     """
-    ways = []
-    for axis in (0, 1):
-        back = _follows(np.flip(walls, axis), np.flip(stops, axis), axis)
-        ways.append((_follows(walls, stops, axis), np.flip(back, axis)))
-    along, across = ways
+    along, across = _ways(walls, stops)
     behind = (along[0] | along[1]) & (across[0] | across[1])
     return np.asarray((behind | (along[0] & along[1]) | (across[0] & across[1])) & ~walls & ~stops)
+
+
+def _ways(walls: Cells, stops: Cells) -> Iterator[tuple[Cells, Cells]]:
+    """Yield for both axes of the grid which cells a wall comes before, on the way forth and back."""
+    for axis in (0, 1):
+        back = _follows(np.flip(walls, axis), np.flip(stops, axis), axis)
+        yield _follows(walls, stops, axis), np.flip(back, axis)
 
 
 def _follows(walls: Cells, stops: Cells, axis: int) -> Cells:

@@ -237,20 +237,23 @@ def with_cabins(
     if len(plants):
         for group in group_indices(cell_clusters(xyz[plants, :2], config.split_gap)):
             mine = plants[group]
-            if _is_car_sized(xyz[mine], height[mine], config) and _has_cabin(xyz[mine], height[mine], config):
+            if _has_cabin(xyz[mine], height[mine], config):
                 completed[mine] = Semantic.MOBILE
     return completed
 
 
 def _has_cabin(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
-    """Tell a body whose outline fills the rectangle around it, and that has a smaller roof."""
-    roof = height > quantile_of(height, 0.98) - config.top_band
-    cells = np.floor(box_coordinates(xyz[:, :2]) / config.split_gap).astype(np.int64)
-    body, top = (len(np.unique(places, axis=0)) for places in (cells, cells[roof]))
-    rectangle = float(np.prod(box_sides(xyz[:, :2])))
+    """Tell a body of the size of a car that fills the rectangle around it, and that has a smaller roof."""
+    sides, top = box_coordinates(xyz[:, :2]), quantile_of(height, 0.98)
+    length, width = np.ptp(sides, axis=0).tolist()
+    if not _is_car_sized(length, width, top, config):
+        return False
+    body, roof = (_held(s, config.split_gap) for s in (sides, sides[height > top - config.top_band]))
     outline = shapely.MultiPoint(xyz[:, :2]).convex_hull.area
-    filled = body * config.split_gap**2 > config.cabin_fill * rectangle
-    return bool(filled and outline > config.cabin_outline * rectangle and top < config.cabin_share * body)
+    filled = body * config.split_gap**2 > config.cabin_fill * length * width
+    return bool(
+        filled and outline > config.cabin_outline * length * width and roof < config.cabin_share * body
+    )
 
 
 @switchable("edges_of_vehicles", _classes_as_they_are)
@@ -323,9 +326,14 @@ def _surroundings(
 def _fill(xyz: Floats, cell: float = 0.25) -> float:
     """Share of its rectangle that a thing fills, seen from above."""
     sides = box_coordinates(xyz[:, :2])
-    column, row = np.floor((sides - sides.min(axis=0)) / cell).astype(np.int64).T
-    cells = np.unique((column << 32) + row)
-    return float(len(cells) * cell**2 / max(float(np.prod(np.ptp(sides, axis=0))), cell**2))
+    held = _held(sides - sides.min(axis=0), cell)
+    return float(held * cell**2 / max(float(np.prod(np.ptp(sides, axis=0))), cell**2))
+
+
+def _held(places: Floats, cell: float) -> int:
+    """Count the cells that hold places (N, 2)."""
+    column, row = np.floor(places / cell).astype(np.int64).T
+    return len(np.unique((column << 32) + row))
 
 
 def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bool:
@@ -334,7 +342,7 @@ def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bo
     top = quantile_of(height, 0.98)
     low = quantile_of(height, 0.02)
     row_of_cars = 1.4 < width < 3.2 and top < 2.4
-    car = _is_car_sized(xyz, height, config)
+    car = _is_car_sized(length, width, top, config)
     return bool(
         hard > (0.5 * config.mobile_hard if car else config.mobile_hard)
         and width > config.mobile_min_width
@@ -346,8 +354,6 @@ def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bo
     )
 
 
-def _is_car_sized(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
-    """Tell what is as long, as wide and as high as a car."""
-    length, width = box_sides(xyz[:, :2])
-    top = quantile_of(height, 0.98)
+def _is_car_sized(length: float, width: float, top: float, config: VehicleConfig) -> bool:
+    """Tell what is as long, as wide and as high as a car [m]."""
     return bool(config.car_length < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2)

@@ -21,6 +21,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_geo.signals import interrupt_blocked
 from subiaco_geo.work.store import DiskStore, Store
 from subiaco_geo.work.tasks import Task, TaskCost, execute
 
@@ -221,7 +222,7 @@ def load_for_workers(modules: Sequence[str]) -> Any:
     context = multiprocessing.get_context("forkserver")  # this process may hold threads and locks
     context.set_forkserver_preload(list(modules))
     resource_tracker.ensure_running()  # unblocks SIGINT, so it starts first
-    with _one_thread(), _interrupt_blocked(), _signals_deferred():
+    with _one_thread(), interrupt_blocked(), _signals_deferred():
         forkserver.ensure_running()
     return context
 
@@ -238,16 +239,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
-
-
-@contextmanager
-def _interrupt_blocked() -> Iterator[None]:
-    """Let a process that starts meanwhile, and those that it starts, get no SIGINT: Ctrl-C goes to all."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Signals that end a command or a job."""
+"""Signals that end a command, a job or its processes."""
 
 from __future__ import annotations
 
@@ -30,3 +30,13 @@ def sigterm_interrupts() -> Iterator[list[int]]:
         yield came
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL if before is None else before)
+
+
+@contextmanager
+def interrupt_blocked() -> Iterator[None]:
+    """Let processes that start meanwhile, and those that they start, get no SIGINT: Ctrl-C goes to all."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
