@@ -240,7 +240,7 @@ def test_an_interruption_leaves_nothing(refused, bag, tmp_path, monkeypatch):
 def test_an_interrupted_run_leaves_its_stages_and_goes_on_from_there(
     command, good, tmp_path, monkeypatch, caplog
 ):
-    monkeypatch.setattr("subiaco_report.pages.build_report", interrupt)
+    monkeypatch.setattr("subiaco_report.pages.write_report", interrupt)
     options = ["--registration", "identity", "--set", "leaf=0.5"]
     run = ["change", good, good, "-o", tmp_path / "out", "--workers", "1", *options]
     stopped = command(*run)
