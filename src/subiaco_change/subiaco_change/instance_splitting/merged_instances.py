@@ -1,7 +1,7 @@
 """Instances that are separate in one epoch and merged in the other, split in both; row houses above all.
 
 Row houses that the two epochs split at different walls are split at the walls that either epoch shows. What
-joins them in one epoch alone, and a storey that one of them gained or lost, is a house of its own.
+joins them in one epoch alone is a house of its own.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import AssociationConfig, PartConfig
+from subiaco_change.instance_splitting.changed_houses import changed_houses
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.objects.column_volumes import column_keys
-from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
-from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
+from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
@@ -27,13 +26,8 @@ from subiaco_geo.frames import Floats, Ints
 _CELL = NUMBERS.merged_instances.cell
 _COLUMN = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
-_STOREY = NUMBERS.rows_of_houses.new_storey
 _FRONT = NUMBERS.rows_of_houses.house_front
-_WIDTH = round(_FRONT / _COLUMN)
-_ROOM = NUMBERS.storeys.room_height
-_GAP = NUMBERS.storeys.unseen_gap
-_SAME = NUMBERS.storeys.same_top
-_ALIKE = NUMBERS.storeys.neighbour_share
+_ROOM = NUMBERS.changed_houses.room_height
 
 #: The objects of *before* and of *after* that are one piece.
 Piece = tuple[tuple[ObjectInstance, ...], tuple[ObjectInstance, ...]]
@@ -257,92 +251,3 @@ def _pieces(
                 found[number][epoch].append(piece)
             following += len(parts)
     return [(tuple(b), tuple(a)) for b, a in found]
-
-
-def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
-    """Return which stretch of a row its voxels (N,) lie in, and which changed house they are of, 0 for none.
-
-    A house was removed, is new, or rose or fell by a storey, beside houses of the row that did not. Of the
-    party walls beside it, what only one epoch has is of that house.
-    """
-    xyz = np.concatenate([before.xyz, after.xyz])
-    tall = np.concatenate([before.height, after.height]) >= _ROOM
-    epoch = np.repeat([0, 1], [len(before), len(after)])
-    alone = ~np.concatenate([before.occupied_in_other, after.occupied_in_other])
-    slot, tops = _tops(xyz, epoch, tall)
-    shown = np.isfinite(tops)
-    shared = np.where(shown.all(axis=0), tops, np.nan)  # of a roof each epoch may see another part
-    stretches, house = np.zeros(len(xyz), dtype=np.int64), np.zeros(len(xyz), dtype=np.int64)
-    for axis in (0, 1):
-        place = slot[:, axis]
-        across, highest = shown.sum(axis=2 - axis), np.fmax.reduce(shared, axis=2 - axis)
-        gaps = [(run, alone & (epoch == e)) for e in (0, 1) for run in _gaps(across[e], across[1 - e])]
-        storeys = [(run, alone | _within(place, *run)) for run in _storeys(highest[1] - highest[0])]
-        for (begin, end), own in (*gaps, *storeys):
-            house[own & _within(place, begin - 1, end + 1) & (house == 0)] = house.max() + 1
-        cuts = np.sort([cut for run, _ in (*gaps, *storeys) for cut in run])
-        stretches = stretches * (len(cuts) + 1) + np.searchsorted(cuts, place, side="right")
-    return stretches, house
-
-
-def _within(slot: Ints, begin: int, end: int) -> Mask:
-    return (slot >= begin) & (slot < end)
-
-
-def _storeys(rise: Floats) -> list[tuple[int, int]]:
-    """First slot and end of every house of a row that rose or fell beside one that did not.
-
-    ``rise`` (S,): rise of the tops along the row [m], NaN where nothing was seen in both epochs.
-    """
-    gap = round(_GAP / _COLUMN)
-    unseen, same = np.isnan(rise), np.abs(rise) < _SAME
-    houses = []
-    for moved in (rise >= _STOREY, rise <= -_STOREY):
-        closed = ndimage.binary_closing(np.pad(moved, gap + 1), np.ones(gap + 1))[gap + 1 : -gap - 1]
-        for begin, end in _runs(moved | (closed & unseen)):
-            beside = same[max(begin - _WIDTH, 0) : begin][::-1], same[end : end + _WIDTH]
-            if any(_is_neighbour(side) for side in beside):
-                houses.append((begin, end))
-    return houses
-
-
-def _is_neighbour(same: Mask) -> bool:
-    """Tell whether the slots beside a changed house, the nearest first, are of a house that did not change.
-
-    The tops of one house of which a part was built upon may fall slowly; a party wall is a sudden step.
-    """
-    return bool(same[:2].any() and np.count_nonzero(same) >= _ALIKE * _WIDTH)
-
-
-def _gaps(own: Ints, other: Ints) -> list[tuple[int, int]]:
-    """First slot and end of every gap of the other epoch, between houses of both, that the own epoch fills.
-
-    ``own``, ``other`` (S,): columns across the row that an epoch shows in every slot. At the end of a row a
-    stretch of one epoch may be a wing of the last house.
-    """
-    shared = (own > 0) & (other > 0)
-    gaps = []
-    for begin, end in _runs(other == 0):
-        beside = shared[max(begin - _WIDTH, 0) : begin], shared[end : end + _WIDTH]
-        filled = 2 * np.count_nonzero(own[begin:end]) >= end - begin
-        if filled and all(2 * np.count_nonzero(side) >= _WIDTH for side in beside):
-            gaps.append((begin, end))
-    return gaps
-
-
-def _runs(slots: Mask) -> list[tuple[int, int]]:
-    """First slot and end of every run of slots (S,) that is as long as a house is wide."""
-    edges = np.flatnonzero(np.diff(np.pad(slots, 1).astype(np.int8)))
-    return [(b, e) for b, e in edges.reshape(-1, 2).tolist() if e - b >= _WIDTH]
-
-
-def _tops(xyz: Floats, epoch: Ints, counted: Mask) -> tuple[Ints, Floats]:
-    """Columns (N, 2) along the walls of places (N, 3), and tops (2, nx, ny) of both epochs; NaN for none.
-
-    ``counted`` (N,): places that tops are taken of.
-    """
-    turned = wall_coordinates(xyz[:, :2])
-    slot = np.floor((turned - turned.min(axis=0)) / _COLUMN).astype(np.int64)
-    tops = np.full((2, *(slot.max(axis=0) + 1).tolist()), np.nan)
-    np.fmax.at(tops, (epoch[counted], slot[counted, 0], slot[counted, 1]), xyz[counted, 2])
-    return slot, tops

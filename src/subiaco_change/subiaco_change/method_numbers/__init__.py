@@ -7,6 +7,7 @@ The modules name them at their beginning. They are frozen: who changes one, chan
 from __future__ import annotations
 
 from subiaco_change.method_numbers.association_numbers import (
+    ChangedHousesNumbers,
     CostsNumbers,
     FelledCrownsNumbers,
     HedgeSectionsNumbers,
@@ -34,7 +35,6 @@ from subiaco_change.method_numbers.decision_numbers import (
     PointLabelsNumbers,
     RulesNumbers,
     SpaceCarvingNumbers,
-    StoreysNumbers,
     TrailInPiecesNumbers,
     TrailShapesNumbers,
     VegetationNullNumbers,
@@ -82,6 +82,7 @@ class MethodNumbers(StrictModel):
 
     absence: AbsenceNumbers = AbsenceNumbers()
     building_extensions: BuildingExtensionsNumbers = BuildingExtensionsNumbers()
+    changed_houses: ChangedHousesNumbers = ChangedHousesNumbers()
     column_volumes: ColumnVolumesNumbers = ColumnVolumesNumbers()
     confidence: ConfidenceNumbers = ConfidenceNumbers()
     correlation: CorrelationNumbers = CorrelationNumbers()
@@ -96,7 +97,6 @@ class MethodNumbers(StrictModel):
     point_labels: PointLabelsNumbers = PointLabelsNumbers()
     rules: RulesNumbers = RulesNumbers()
     space_carving: SpaceCarvingNumbers = SpaceCarvingNumbers()
-    storeys: StoreysNumbers = StoreysNumbers()
     trail_in_pieces: TrailInPiecesNumbers = TrailInPiecesNumbers()
     trail_shapes: TrailShapesNumbers = TrailShapesNumbers()
     vegetation_null: VegetationNullNumbers = VegetationNullNumbers()

@@ -7,6 +7,62 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 
 
+class ChangedHousesNumbers(StrictModel):
+    """Numbers of ``instance_splitting/changed_houses.py``."""
+
+    room_height: float = Field(
+        2.0, description="Height from which an object in a row of houses is a house, not a fence [m]"
+    )
+    foot_height: float = Field(
+        0.5, description="Height from which the foot of a front tells whether a house is gone [m]"
+    )
+    changed_share: float = Field(
+        0.05,
+        description="Fraction of the voxels of a slot of a row, above that of quiet slots, which one epoch "
+        "alone has from which the slot changed",
+    )
+    clear_share: float = Field(
+        0.1, description="Mean fraction of the voxels of a changed house that one epoch alone must have"
+    )
+    gone_share: float = Field(
+        0.5,
+        description="Fraction of the foot of a front that one epoch alone must have for the house to be gone "
+        "or new",
+    )
+    left_columns: float = Field(
+        0.3,
+        description="Largest fraction of the columns of a house that is gone or new in which the other epoch "
+        "has anything as high as a room",
+    )
+    quiet_quantile: float = Field(
+        0.25, description="Fraction of the slots of a row that count as quiet, those that changed least"
+    )
+    part_of_usual: float = Field(
+        0.3,
+        description="Fraction of the usual change of the slots of a stretch below which a slot did not "
+        "change",
+    )
+    sudden_step: float = Field(
+        0.7,
+        description="Fraction of the change of height of a house that must be reached at its party wall",
+    )
+    least_top: float = Field(
+        0.6,
+        description="Smallest height of what stands between two houses in one epoch alone, as a fraction of "
+        "the lower house, to be a house",
+    )
+    houses_of_row: int = Field(
+        3,
+        description="Number of houses, as long as the changed one, that remain of a row at whose end a house "
+        "is new or gone",
+    )
+    same_top: float = Field(0.75, description="Largest height difference of houses of one height [m]")
+    neighbour_share: float = Field(
+        0.8,
+        description="Fraction of the width of a house along which its neighbour must be unchanged",
+    )
+
+
 class CostsNumbers(StrictModel):
     """Numbers of ``association/costs.py``."""
 
@@ -121,11 +177,8 @@ class PlacesSeenFreeNumbers(StrictModel):
 
 
 class RowsOfHousesNumbers(StrictModel):
-    """Numbers of ``instance_splitting/merged_instances.py``."""
+    """Numbers of ``instance_splitting/merged_instances.py`` and ``instance_splitting/changed_houses.py``."""
 
-    new_storey: float = Field(
-        1.5, description="Rise of a top from which a storey was added [m]; a smaller rise is a new roof"
-    )
     cell: float = Field(0.5, description="Edge of the columns in which houses of a row are compared [m]")
     house_front: float = Field(3.0, description="Smallest width of a house of a row [m]")
     shared_columns: float = Field(

@@ -631,23 +631,6 @@ class SpaceCarvingNumbers(StrictModel):
     )
 
 
-class StoreysNumbers(StrictModel):
-    """Numbers of ``instance_splitting/merged_instances.py``."""
-
-    room_height: float = Field(
-        2.0, description="Height from which an object in a row of houses is a house, not a fence [m]"
-    )
-    unseen_gap: float = Field(
-        1.0,
-        description="Longest stretch without observation within the change of one house [m]",
-    )
-    same_top: float = Field(0.75, description="Largest height difference of tops that did not change [m]")
-    neighbour_share: float = Field(
-        0.8,
-        description="Fraction of the width of a house along which the tops of its neighbour must be the same",
-    )
-
-
 class VegetationNullNumbers(StrictModel):
     """Numbers of ``decisions/vegetation_null.py``."""
 

@@ -1,0 +1,265 @@
+"""Houses of a row that changed, where neither epoch shows the walls between the houses.
+
+Of joined houses of one height a street shows one long front and one roof. What one epoch alone has tells
+where a changed house begins and ends: along the row it is next to nothing where the houses did not change, and
+much where one did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy import ndimage
+
+from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.objects.voxel_objects import Voxels
+from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.frames import Floats, Ints
+
+_COLUMN = NUMBERS.rows_of_houses.cell
+_FRONT = NUMBERS.rows_of_houses.house_front
+_WIDTH = round(_FRONT / _COLUMN)
+_SMOOTHED = 2 * (_WIDTH // 2) - 1  # slots of a median filter: half of a house stays
+_ROOM = NUMBERS.changed_houses.room_height
+_FOOT = NUMBERS.changed_houses.foot_height
+_CHANGED = NUMBERS.changed_houses.changed_share
+_CLEAR = NUMBERS.changed_houses.clear_share
+_GONE = NUMBERS.changed_houses.gone_share
+_LEFT = NUMBERS.changed_houses.left_columns
+_SAME = NUMBERS.changed_houses.same_top
+_ALIKE = NUMBERS.changed_houses.neighbour_share
+_ROW = NUMBERS.changed_houses.houses_of_row
+_LEAST = NUMBERS.changed_houses.least_top
+_PART = NUMBERS.changed_houses.part_of_usual
+_SUDDEN = NUMBERS.changed_houses.sudden_step
+_QUIET = NUMBERS.changed_houses.quiet_quantile
+
+#: Kinds of the slots of a row: unchanged, only in one epoch (in the order of the epochs), or reshaped.
+_UNCHANGED, _ONLY, _LOST, _GAINED = 0, (1, 2), 3, 4
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Slots of a row from ``begin`` up to ``end`` that a changed house takes up.
+
+    ``only``: the epoch, 0 or 1, that alone has it; None if both have it. ``share``: mean fraction of what
+    stands there that one epoch alone has.
+    """
+
+    begin: int
+    end: int
+    only: int | None
+    share: float
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """What one epoch has in every slot along a row, of what is as tall as a house.
+
+    ``alone`` (S,): share of its voxels whose place the other epoch observed and found empty, and ``above``
+    (S,) in whose column the other epoch has something, both less what the quiet slots of the row show;
+    ``known`` (S,): whether the other epoch observed any of them; ``foot`` (S,): the share of what is lower
+    than a room, NaN where nothing is known. ``columns`` (S, T) that it stands in; ``top`` (S,) and ``step``
+    (S,), how far it rises over what the other epoch has in a column [m], 0 for none.
+    """
+
+    alone: Floats
+    above: Floats
+    known: Mask
+    foot: Floats
+    columns: Mask
+    top: Floats
+    step: Floats
+
+
+def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
+    """Return which stretch of a row its voxels (N,) lie in, and which changed house they are of, 0 for none.
+
+    A house was removed, is new, or was reshaped, beside houses of the row that did not change. Of the party
+    walls beside it, what only one epoch has is of that house.
+
+    Parameters
+    ----------
+    before, after : Voxels
+        Of the row in both epochs; the results are of those of *before* and then of those of *after*.
+    """
+    sides = before, after
+    xyz = np.concatenate([v.xyz for v in sides])
+    epoch = np.repeat([0, 1], [len(v) for v in sides])
+    alone = ~np.concatenate([v.occupied_in_other for v in sides])
+    turned = wall_coordinates(xyz[:, :2])
+    slots = np.floor((turned - turned.min(axis=0)) / _COLUMN).astype(np.int64)
+    house = np.zeros(len(xyz), dtype=np.int64)
+    axis, found = _along_row(sides, [slots[epoch == e] for e in (0, 1)])
+    place = slots[:, axis]
+    for stretch in found:
+        inside = _within(place, stretch.begin, stretch.end)
+        own = alone | inside if stretch.only is None else alone & (epoch == stretch.only)
+        house[own & _within(place, stretch.begin - 1, stretch.end + 1) & (house == 0)] = house.max() + 1
+    cuts = np.unique([cut for stretch in found for cut in (stretch.begin, stretch.end)])
+    stretches = np.searchsorted(cuts, place, side="right")
+    return stretches, house
+
+
+def _along_row(sides: Sequence[Voxels], slots: Sequence[Ints]) -> tuple[int, list[Stretch]]:
+    """Return the axis along which a row runs, and its changed houses.
+
+    Seen along the row, a change is confined to few slots; seen across it, houses that did not change lie in
+    the same slots. Where one axis alone shows changed houses, it must not be much the shorter one.
+    """
+    found = [
+        changed_stretches(_profiles(sides, [own if axis == 0 else own[:, ::-1] for own in slots]))
+        for axis in (0, 1)
+    ]
+    if all(found):
+        axis = int(np.argmax([np.mean([stretch.share for stretch in some]) for some in found]))
+    else:
+        axis = int(not found[0])
+        extent = np.concatenate(slots).max(axis=0)
+        if extent[axis] < _ALIKE * extent.max():
+            return axis, []
+    return axis, found[axis]
+
+
+def _within(slot: Ints, begin: int, end: int) -> Mask:
+    return (slot >= begin) & (slot < end)
+
+
+def _profiles(sides: Sequence[Voxels], slots: Sequence[Ints]) -> list[_Profile]:
+    """Measure both epochs in slots (N, 2) along and across a row."""
+    shape = np.concatenate(slots).max(axis=0) + 1
+    tops = [_tops(v, own, v.height >= _ROOM, shape) for v, own in zip(sides, slots, strict=True)]
+    return [_profile(*side) for side in zip(sides, slots, tops, tops[::-1], strict=True)]
+
+
+def _tops(voxels: Voxels, slots: Ints, counted: Mask, shape: Ints) -> Floats:
+    """Heights (S, T) of the highest voxels that count in the columns of a row, 0 for none [m]."""
+    tops = np.zeros(shape.tolist())
+    np.maximum.at(tops, tuple(slots[counted].T), voxels.height[counted])
+    return tops
+
+
+def _profile(voxels: Voxels, slots: Ints, tops: Floats, others: Floats) -> _Profile:
+    """Measure one epoch, with its tops and those of the other (S, T); single slots are smoothed away."""
+    count, place, tall = len(tops), slots[:, 0], voxels.height >= _ROOM
+    low, alone = ~tall & (voxels.height >= _FOOT), voxels.observed_unoccupied
+    known, known_low = (np.bincount(place[part & voxels.observed], minlength=count) for part in (tall, low))
+    shares = [
+        np.bincount(place[tall & alone & part], minlength=count) / np.maximum(known, 1)
+        for part in (True, others[tuple(slots.T)] > 0)
+    ]
+    smooth = [ndimage.median_filter(share, _SMOOTHED, mode="nearest") for share in shares]
+    smooth = [np.maximum(share - np.quantile(share, _QUIET), 0.0) for share in smooth]
+    foot = np.bincount(place[low & alone], minlength=count) / np.where(known_low > 0, known_low, np.nan)
+    rises = _tops(voxels, slots, tall & alone, np.array(tops.shape)) - others
+    step = np.where(others > 0, rises, 0.0).max(axis=1)
+    return _Profile(smooth[0], smooth[1], known > 0, foot, tops > 0, tops.max(axis=1), np.maximum(step, 0.0))
+
+
+def changed_stretches(sides: Sequence[_Profile]) -> list[Stretch]:
+    """Find the changed houses of a row: each begins or ends beside one that did not change.
+
+    A house was reshaped where it rose or fell: what stands beside it in one epoch alone is a wing.
+    """
+    kind = _kinds(sides)
+    same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known)
+    gone = np.isin(kind, _ONLY)
+    step = np.where(gone, np.inf, np.maximum(sides[0].step, sides[1].step))
+    houses: list[Stretch] = []
+    most = np.maximum(*(np.where(gone, side.alone, side.above) for side in sides))
+    for begin, end in _runs(_clearly(most, kind != _UNCHANGED)):
+        clear = float(most[begin:end].mean())
+        walls = (
+            _is_wall(same[max(begin - _WIDTH, 0) : begin][::-1], step[begin:end]),
+            _is_wall(same[end : end + _WIDTH], step[begin:end][::-1]),
+        )
+        if clear < _CLEAR or not any(walls):
+            continue
+        for first, last in _by_kind(kind, begin, end):
+            usual = int(np.bincount(kind[first:last]).argmax())
+            only = _ONLY.index(usual) if usual in _ONLY else None
+            if only is None or _is_whole_house(sides, only, first, last):
+                houses.append(Stretch(first, last, only, float(most[first:last].mean())))
+    return houses
+
+
+def _kinds(sides: Sequence[_Profile]) -> Ints:
+    """Return the kind (S,) of every slot.
+
+    One epoch alone has what the other holds in few of its columns. Where the front stands in both up to the
+    height of a room, a storey was taken off or built, and of its roof nothing may be seen.
+    """
+    changed = [side.above >= _CHANGED for side in sides]
+    shared = np.count_nonzero(sides[0].columns & sides[1].columns, axis=1)
+    kind = np.select([changed[1], changed[0]], [_GAINED, _LOST], _UNCHANGED)
+    for only, side in enumerate(sides):
+        own = np.count_nonzero(side.columns, axis=1)
+        gone = (side.alone >= _CHANGED) & (shared <= _LEFT * own) & ~(side.foot < _GONE)
+        kind[ndimage.median_filter(gone, _SMOOTHED, mode="nearest")] = _ONLY[only]
+    return kind
+
+
+def _by_kind(kind: Ints, begin: int, end: int) -> list[tuple[int, int]]:
+    """Divide a stretch where its kind changes, into stretches that are as long as a house is wide."""
+    edges = [begin, *(begin + 1 + np.flatnonzero(np.diff(kind[begin:end]))).tolist(), end]
+    while len(edges) > 2:
+        lengths = np.diff(edges)
+        shortest = int(lengths.argmin())
+        if lengths[shortest] >= _WIDTH:
+            break
+        sides = [k for k in (shortest - 1, shortest + 1) if 0 <= k < len(lengths)]
+        edges.pop(max(shortest, max(sides, key=lambda k: lengths[k])))
+    return list(pairwise(edges))
+
+
+def _is_whole_house(sides: Sequence[_Profile], only: int, begin: int, end: int) -> bool:
+    """Tell whether what one epoch alone has is a house of the row, and no wing of its last house.
+
+    Between houses it is one if it is about as high as the lower of them: an extension is lower. At the end
+    of a long row it must be as high and as deep as the house beside it.
+    """
+    own, top = sides[only], float(np.median(sides[only].top[begin:end]))
+    built = (sides[0].top > 0) & (sides[1].top > 0)
+    beside = [
+        s
+        for s in (slice(max(begin - _WIDTH, 0), begin), slice(end, end + _WIDTH))
+        if _is_house_wide(built[s])
+    ]
+    tops = [float(np.median(own.top[part])) for part in beside]
+    if len(beside) != 1 or np.count_nonzero(built) < _ROW * (end - begin):
+        return len(beside) == 2 and top >= _LEAST * min(tops)
+    depths = [float(np.count_nonzero(own.columns[s], axis=1).mean()) for s in (slice(begin, end), beside[0])]
+    return abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1]
+
+
+def _is_house_wide(slots: Mask) -> bool:
+    return bool(np.count_nonzero(slots) >= _ALIKE * _WIDTH)
+
+
+def _is_wall(same: Mask, step: Floats) -> bool:
+    """Tell whether a changed stretch begins at the party wall of a house that did not change.
+
+    Of one house of which a part was built upon the tops may rise slowly; a party wall is a sudden step.
+    ``same``: which slots beside it, the nearest first, did not change; ``step``: of the stretch, from that
+    side on [m].
+    """
+    sudden = step[:2].max() >= _SUDDEN * np.median(step)
+    return bool(sudden and same[:2].any() and _is_house_wide(same))
+
+
+def _clearly(share: Floats, changed: Mask) -> Mask:
+    """Leave out of every run of changed slots (S,) those of which much less changed than of the others."""
+    kept = changed.copy()
+    for begin, end in _runs(changed):
+        kept[begin:end] = share[begin:end] >= _PART * np.median(share[begin:end])
+    return kept
+
+
+def _runs(slots: Mask) -> list[tuple[int, int]]:
+    """First slot and end of every run of slots (S,) that is as long as a house is wide."""
+    edges = np.flatnonzero(np.diff(np.pad(slots, 1).astype(np.int8)))
+    return [(b, e) for b, e in edges.reshape(-1, 2).tolist() if e - b >= _WIDTH]
