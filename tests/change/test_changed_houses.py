@@ -60,6 +60,10 @@ def test_a_lower_wing_at_the_end_of_a_row_is_no_house_of_the_row():
     assert changed(houses((4.0, 4.0, 4.0, 0.0)), houses((4.0, 4.0, 4.0, 2.8))) == []
 
 
+def test_what_was_taken_down_between_a_house_and_its_garage_is_a_part_of_the_house():
+    assert changed(houses((2.4, 4.0, 4.0)), houses((2.4, 0.0, 4.0))) == []
+
+
 def test_of_two_neighbours_that_fared_differently_each_is_a_house():
     before, after = houses([4.0] * 5), houses((4.0, 6.8, 0.0, 4.0, 4.0))
     house = changed_houses(roofs(before, after), roofs(after, before))[1]

@@ -1,8 +1,8 @@
 """Houses of a row that changed, where neither epoch shows the walls between the houses.
 
 Of joined houses of one height a street shows one long front and one roof. What one epoch alone has tells
-where a changed house begins and ends: along the row it is next to nothing where the houses did not change, and
-much where one did.
+where a changed house begins and ends: along the row it is next to nothing where the houses did not change,
+and much where one did.
 """
 
 from __future__ import annotations
@@ -38,16 +38,17 @@ _PART = NUMBERS.changed_houses.part_of_usual
 _SUDDEN = NUMBERS.changed_houses.sudden_step
 _QUIET = NUMBERS.changed_houses.quiet_quantile
 
-#: Kinds of the slots of a row: unchanged, only in one epoch (in the order of the epochs), or reshaped.
-_UNCHANGED, _ONLY, _LOST, _GAINED = 0, (1, 2), 3, 4
+#: Kinds of the slots of a row: unchanged, only in one epoch (in the order of the epochs), reshaped on the
+#: front that both have, or with something else in the place of a front.
+_UNCHANGED, _ONLY, _LOST, _GAINED, _PARTLY = 0, (1, 2), 3, 4, 5
 
 
 @dataclass(frozen=True)
 class Stretch:
     """Slots of a row from ``begin`` up to ``end`` that a changed house takes up.
 
-    ``only``: the epoch, 0 or 1, that alone has it; None if both have it. ``share``: mean fraction of what
-    stands there that one epoch alone has.
+    ``only``: the epoch, 0 or 1, that alone has it; None if both have it. ``share``: mean fraction of its
+    voxels that one epoch alone has.
     """
 
     begin: int
@@ -163,7 +164,8 @@ def _profile(voxels: Voxels, slots: Ints, tops: Floats, others: Floats) -> _Prof
 def changed_stretches(sides: Sequence[_Profile]) -> list[Stretch]:
     """Find the changed houses of a row: each begins or ends beside one that did not change.
 
-    A house was reshaped where it rose or fell: what stands beside it in one epoch alone is a wing.
+    Where a part of a stretch is no house of the row, none of it is. A house was reshaped where it rose or
+    fell: anything beside it in one epoch alone is a wing.
     """
     kind = _kinds(sides)
     same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known)
@@ -179,23 +181,32 @@ def changed_stretches(sides: Sequence[_Profile]) -> list[Stretch]:
         )
         if clear < _CLEAR or not any(walls):
             continue
-        for first, last in _by_kind(kind, begin, end):
-            usual = int(np.bincount(kind[first:last]).argmax())
-            only = _ONLY.index(usual) if usual in _ONLY else None
-            if only is None or _is_whole_house(sides, only, first, last):
-                houses.append(Stretch(first, last, only, float(most[first:last].mean())))
+        edges = _by_kind(kind, begin, end)
+        parts = [_stretch(kind[first:last], first, most[first:last]) for first, last in edges]
+        if all(part is not None and _is_house(sides, kind, part) for part in parts):
+            houses.extend(part for part in parts if part is not None)
     return houses
+
+
+def _stretch(kind: Ints, begin: int, share: Floats) -> Stretch | None:
+    """Describe the stretch of slots (S,) from ``begin`` on by what most of them are; None for no house."""
+    usual = int(np.bincount(kind).argmax())
+    only = _ONLY.index(usual) if usual in _ONLY else None
+    return None if usual == _PARTLY else Stretch(begin, begin + len(kind), only, float(share.mean()))
 
 
 def _kinds(sides: Sequence[_Profile]) -> Ints:
     """Return the kind (S,) of every slot.
 
     One epoch alone has what the other holds in few of its columns. Where the front stands in both up to the
-    height of a room, a storey was taken off or built, and of its roof nothing may be seen.
+    height of a room, a storey was taken off or built, and of its roof nothing may be seen. Where the foot of
+    the front is gone too, a part of a house was taken down, and the row says nothing of houses.
     """
     changed = [side.above >= _CHANGED for side in sides]
+    foot = np.logical_or(*(side.foot >= _GONE for side in sides))
     shared = np.count_nonzero(sides[0].columns & sides[1].columns, axis=1)
     kind = np.select([changed[1], changed[0]], [_GAINED, _LOST], _UNCHANGED)
+    kind[ndimage.median_filter(foot, _SMOOTHED, mode="nearest") & (kind != _UNCHANGED)] = _PARTLY
     for only, side in enumerate(sides):
         own = np.count_nonzero(side.columns, axis=1)
         gone = (side.alone >= _CHANGED) & (shared <= _LEFT * own) & ~(side.foot < _GONE)
@@ -216,14 +227,17 @@ def _by_kind(kind: Ints, begin: int, end: int) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _is_whole_house(sides: Sequence[_Profile], only: int, begin: int, end: int) -> bool:
+def _is_house(sides: Sequence[_Profile], kind: Ints, part: Stretch) -> bool:
     """Tell whether what one epoch alone has is a house of the row, and no wing of its last house.
 
-    Between houses it is one if it is about as high as the lower of them: an extension is lower. At the end
-    of a long row it must be as high and as deep as the house beside it.
+    Between houses it is one if it is about as high as the lower of them: an extension is lower, and so is a
+    garage beside it. At the end of a long row it must be as high and as deep as the house beside it.
     """
+    if part.only is None:
+        return True
+    only, begin, end = part.only, part.begin, part.end
     own, top = sides[only], float(np.median(sides[only].top[begin:end]))
-    built = (sides[0].top > 0) & (sides[1].top > 0)
+    built = (sides[0].top > 0) & (sides[1].top > 0) & ~np.isin(kind, (*_ONLY, _PARTLY))
     beside = [
         s
         for s in (slice(max(begin - _WIDTH, 0), begin), slice(end, end + _WIDTH))
@@ -231,7 +245,7 @@ def _is_whole_house(sides: Sequence[_Profile], only: int, begin: int, end: int) 
     ]
     tops = [float(np.median(own.top[part])) for part in beside]
     if len(beside) != 1 or np.count_nonzero(built) < _ROW * (end - begin):
-        return len(beside) == 2 and top >= _LEAST * min(tops)
+        return len(beside) == 2 and min(top, *tops) >= _LEAST * max(top, min(tops))
     depths = [float(np.count_nonzero(own.columns[s], axis=1).mean()) for s in (slice(begin, end), beside[0])]
     return abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1]
 

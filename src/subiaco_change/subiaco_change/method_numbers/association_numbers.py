@@ -47,9 +47,9 @@ class ChangedHousesNumbers(StrictModel):
         description="Fraction of the change of height of a house that must be reached at its party wall",
     )
     least_top: float = Field(
-        0.6,
-        description="Smallest height of what stands between two houses in one epoch alone, as a fraction of "
-        "the lower house, to be a house",
+        0.7,
+        description="Smallest ratio of the heights of a building between two houses in one epoch alone and "
+        "of the lower house, for the building to be a house of the row",
     )
     houses_of_row: int = Field(
         3,
