@@ -33,6 +33,7 @@ _LEFT = NUMBERS.changed_houses.left_columns
 _SAME = NUMBERS.changed_houses.same_top
 _ALIKE = NUMBERS.changed_houses.neighbour_share
 _ROW = NUMBERS.changed_houses.houses_of_row
+_GARAGE = NUMBERS.changed_houses.garage_height
 _LEAST = NUMBERS.changed_houses.least_top
 _PART = NUMBERS.changed_houses.part_of_usual
 _SUDDEN = NUMBERS.changed_houses.sudden_step
@@ -230,8 +231,8 @@ def _by_kind(kind: Ints, begin: int, end: int) -> list[tuple[int, int]]:
 def _is_house(sides: Sequence[_Profile], kind: Ints, part: Stretch) -> bool:
     """Tell whether what one epoch alone has is a house of the row, and no wing of its last house.
 
-    Between houses it is one if it is about as high as the lower of them: an extension is lower, and so is a
-    garage beside it. At the end of a long row it must be as high and as deep as the house beside it.
+    Between houses, which are higher than garages, it is one if it is about as high as the lower of them: an
+    extension is lower. At the end of a long row it must be as high and as deep as the house beside it.
     """
     if part.only is None:
         return True
@@ -245,7 +246,7 @@ def _is_house(sides: Sequence[_Profile], kind: Ints, part: Stretch) -> bool:
     ]
     tops = [float(np.median(own.top[part])) for part in beside]
     if len(beside) != 1 or np.count_nonzero(built) < _ROW * (end - begin):
-        return len(beside) == 2 and min(top, *tops) >= _LEAST * max(top, min(tops))
+        return len(beside) == 2 and min(tops) >= _GARAGE and top >= _LEAST * min(tops)
     depths = [float(np.count_nonzero(own.columns[s], axis=1).mean()) for s in (slice(begin, end), beside[0])]
     return abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1]
 

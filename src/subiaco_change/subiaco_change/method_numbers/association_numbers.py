@@ -47,9 +47,12 @@ class ChangedHousesNumbers(StrictModel):
         description="Fraction of the change of height of a house that must be reached at its party wall",
     )
     least_top: float = Field(
-        0.7,
-        description="Smallest ratio of the heights of a building between two houses in one epoch alone and "
-        "of the lower house, for the building to be a house of the row",
+        0.6,
+        description="Smallest height of a building between two houses in one epoch alone, as a fraction of "
+        "that of the lower house, for the building to be a house of the row",
+    )
+    garage_height: float = Field(
+        3.2, description="Height up to which a building beside a house is its garage, and no house [m]"
     )
     houses_of_row: int = Field(
         3,
