@@ -20,7 +20,7 @@ from subiaco_change.decisions.rules import Decision
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
-from subiaco_change.objects.voxel_objects import ObjectInstance
+from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
@@ -75,14 +75,14 @@ def decide_person_on_the_way(
 ) -> Decision | None:
     """Tell a strip as thin and as tall as a person, in a cloud without counts of beams.
 
-    People walk and cycle. A fence is thinner, most hedges are wider and hide the ground; between these, shape
-    does not tell.
+    People walk and cycle, often behind parked cars, which hide their legs. A fence is thinner, most hedges
+    are wider and hide the ground; between these, shape does not tell.
     """
     if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
         return None
     xy = np.concatenate([t.xyz for t in objects])[:, :2]
     length, width = strip_of(xy)[0], _local_width(xy)
-    foot, top = np.quantile(np.concatenate([t.voxels.height for t in objects]), [0.05, 0.95])
+    foot, top = np.quantile(_heights(objects), [0.05, 0.95])
     thin = _PERSON_WIDTH[0] <= width <= _PERSON_WIDTH[1] and length >= _WALKED
     if not thin or foot > _PERSON_FOOT or not _PERSON_TOP[0] <= top <= _PERSON_TOP[1]:
         return None
@@ -94,6 +94,13 @@ def decide_person_on_the_way(
         " claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+def _heights(objects: Sequence[ObjectInstance]) -> Floats:
+    """Heights of the points (N,) of objects above the ground beneath their voxels [m]."""
+    xyz, voxels = np.concatenate([t.xyz for t in objects]), join_voxels(objects)
+    nearest = cKDTree(voxels.xyz[:, :2]).query(xyz[:, :2])[1]
+    return np.asarray(xyz[:, 2] - (voxels.xyz[:, 2] - voxels.height)[nearest])
 
 
 @dataclass(frozen=True)

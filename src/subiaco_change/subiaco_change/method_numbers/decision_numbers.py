@@ -194,13 +194,14 @@ class TrailShapesNumbers(StrictModel):
         description="Lowest and highest top of the trail of a pedestrian or cyclist above ground [m]",
     )
     person_ground: float = Field(
-        0.65,
+        0.5,
         description="Density of the ground points beneath the trail of a pedestrian or cyclist, as a fraction"
         " of that beside it; a planted row hides more",
     )
     person_foot: float = Field(
-        0.6,
-        description="Largest height above ground at which the trail of a pedestrian or cyclist begins [m]",
+        1.05,
+        description="Largest height above ground at which the trail of a pedestrian or cyclist begins [m]: "
+        "parked cars hide legs",
     )
     opaque_points: float = Field(
         1.25,
