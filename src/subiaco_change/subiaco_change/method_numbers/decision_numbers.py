@@ -194,7 +194,7 @@ class TrailShapesNumbers(StrictModel):
         description="Lowest and highest top of the trail of a pedestrian or cyclist above ground [m]",
     )
     person_ground: float = Field(
-        0.5,
+        0.65,
         description="Density of the ground points beneath the trail of a pedestrian or cyclist, as a fraction"
         " of that beside it; a planted row hides more",
     )
