@@ -78,6 +78,10 @@ def test_of_a_house_that_was_seen_to_its_front_alone_the_storey_shows_in_its_fro
     ) == [1]
 
 
+def test_a_roof_that_rose_by_more_than_a_building_must_change_parts_its_house():
+    assert changed(houses((4.0, 4.0, 4.0)), houses((4.0, 4.9, 4.0))) == [1]
+
+
 @pytest.mark.parametrize(
     ("before", "after"),
     [

@@ -265,7 +265,7 @@ def walked(width, length=9.0, bend=0.0):
         (walked(0.45), 0.1, 2.8, Semantic.VEGETATION, False),
         (walked(0.45), 0.8, 1.8, Semantic.VEGETATION, True),
         (walked(0.45), 0.1, 1.55, Semantic.VEGETATION, True),
-        (walked(0.45), 1.2, 1.9, Semantic.OTHER, False),
+        (walked(0.45), 1.1, 1.9, Semantic.OTHER, False),
         (walked(0.45, 1.0), 0.1, 1.8, Semantic.VEGETATION, False),
         (walked(0.45), 0.1, 1.8, Semantic.MOBILE, False),
     ],

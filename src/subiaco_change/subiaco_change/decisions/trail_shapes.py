@@ -80,11 +80,13 @@ def decide_person_on_the_way(
     """
     if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
         return None
-    xy = np.concatenate([t.xyz for t in objects])[:, :2]
+    xyz = np.concatenate([t.xyz for t in objects])
+    xy = xyz[:, :2]
     length, width = strip_of(xy)[0], _local_width(xy)
-    foot, top = np.quantile(_heights(objects), [0.05, 0.95])
-    thin = _PERSON_WIDTH[0] <= width <= _PERSON_WIDTH[1] and length >= _WALKED
-    if not thin or foot > _PERSON_FOOT or not _PERSON_TOP[0] <= top <= _PERSON_TOP[1]:
+    if not (_PERSON_WIDTH[0] <= width <= _PERSON_WIDTH[1] and length >= _WALKED):
+        return None
+    foot, top = np.quantile(xyz[:, 2] - join_voxels(objects).ground_near(xy), [0.05, 0.95])
+    if foot > _PERSON_FOOT or not _PERSON_TOP[0] <= top <= _PERSON_TOP[1]:
         return None
     if _road_beneath(xy, own.ground.data) < _PERSON_GROUND:
         return None
@@ -94,13 +96,6 @@ def decide_person_on_the_way(
         " claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
-
-
-def _heights(objects: Sequence[ObjectInstance]) -> Floats:
-    """Heights of the points (N,) of objects above the ground beneath their voxels [m]."""
-    xyz, voxels = np.concatenate([t.xyz for t in objects]), join_voxels(objects)
-    nearest = cKDTree(voxels.xyz[:, :2]).query(xyz[:, :2])[1]
-    return np.asarray(xyz[:, 2] - (voxels.xyz[:, 2] - voxels.height)[nearest])
 
 
 @dataclass(frozen=True)

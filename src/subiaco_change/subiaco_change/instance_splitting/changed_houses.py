@@ -10,11 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.objects.column_volumes import tops_of_columns
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.ground_model import Mask
@@ -45,17 +48,21 @@ _UNCHANGED, _ONLY, _LOST, _GAINED, _PARTLY = 0, (1, 2), 3, 4, 5
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Slots of a row from ``begin`` up to ``end`` that a changed house takes up.
+class _Stretch:
+    """Slots of a row from ``begin`` up to ``end``, the kind of most of them, and how much they changed.
 
-    ``only``: the epoch, 0 or 1, that alone has it; None if both have it. ``share``: mean fraction of its
-    voxels that one epoch alone has.
+    ``share``: mean fraction of their voxels that one epoch alone has.
     """
 
     begin: int
     end: int
-    only: int | None
+    kind: int
     share: float
+
+    @property
+    def only(self) -> int | None:
+        """The epoch, 0 or 1, that alone has a house there; None if both have one."""
+        return _ONLY.index(self.kind) if self.kind in _ONLY else None
 
 
 @dataclass(frozen=True)
@@ -65,17 +72,26 @@ class _Profile:
     ``alone`` (S,): share of its voxels whose place the other epoch observed and found empty, and ``above``
     (S,) in whose column the other epoch has something, both less what the quiet slots of the row show;
     ``known`` (S,): whether the other epoch observed any of them; ``foot`` (S,): the share of what is lower
-    than a room, NaN where nothing is known. ``columns`` (S, T) that it stands in; ``top`` (S,) and ``step``
-    (S,), how far it rises over what the other epoch has in a column [m], 0 for none.
+    than a room, NaN where nothing is known; ``tops`` (S, T) of its columns [m], 0 for none; ``step`` (S,),
+    how far it rises over what the other epoch has in a column [m].
     """
 
     alone: Floats
     above: Floats
     known: Mask
     foot: Floats
-    columns: Mask
-    top: Floats
+    tops: Floats
     step: Floats
+
+    @property
+    def columns(self) -> Mask:
+        """Columns (S, T) that it stands in."""
+        return np.asarray(self.tops > 0)
+
+    @property
+    def top(self) -> Floats:
+        """Height (S,) of the highest column of every slot [m], 0 for none."""
+        return np.asarray(self.tops.max(axis=1))
 
 
 def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
@@ -107,14 +123,14 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     return stretches, house
 
 
-def _along_row(sides: Sequence[Voxels], slots: Sequence[Ints]) -> tuple[int, list[Stretch]]:
+def _along_row(sides: Sequence[Voxels], slots: Sequence[Ints]) -> tuple[int, list[_Stretch]]:
     """Return the axis along which a row runs, and its changed houses.
 
     Seen along the row, a change is confined to few slots; seen across it, houses that did not change lie in
     the same slots. Where one axis alone shows changed houses, it must not be much the shorter one.
     """
     found = [
-        changed_stretches(_profiles(sides, [own if axis == 0 else own[:, ::-1] for own in slots]))
+        _changed_stretches(_profiles(sides, [own if axis == 0 else own[:, ::-1] for own in slots]))
         for axis in (0, 1)
     ]
     if all(found):
@@ -133,36 +149,44 @@ def _within(slot: Ints, begin: int, end: int) -> Mask:
 
 def _profiles(sides: Sequence[Voxels], slots: Sequence[Ints]) -> list[_Profile]:
     """Measure both epochs in slots (N, 2) along and across a row."""
-    shape = np.concatenate(slots).max(axis=0) + 1
-    tops = [_tops(v, own, v.height >= _ROOM, shape) for v, own in zip(sides, slots, strict=True)]
-    return [_profile(*side) for side in zip(sides, slots, tops, tops[::-1], strict=True)]
+    shape = tuple((np.concatenate(slots).max(axis=0) + 1).tolist())
+    talls = [voxels.height >= _ROOM for voxels in sides]
+    tops = [
+        tops_of_columns(own[tall], voxels.height[tall], shape)
+        for voxels, own, tall in zip(sides, slots, talls, strict=True)
+    ]
+    return [_profile(*side) for side in zip(sides, slots, talls, tops, tops[::-1], strict=True)]
 
 
-def _tops(voxels: Voxels, slots: Ints, counted: Mask, shape: Ints) -> Floats:
-    """Heights (S, T) of the highest voxels that count in the columns of a row, 0 for none [m]."""
-    tops = np.zeros(shape.tolist())
-    np.maximum.at(tops, tuple(slots[counted].T), voxels.height[counted])
-    return tops
-
-
-def _profile(voxels: Voxels, slots: Ints, tops: Floats, others: Floats) -> _Profile:
+def _profile(voxels: Voxels, slots: Ints, tall: Mask, tops: Floats, others: Floats) -> _Profile:
     """Measure one epoch, with its tops and those of the other (S, T); single slots are smoothed away."""
-    count, place, tall = len(tops), slots[:, 0], voxels.height >= _ROOM
+    count, place = len(tops), slots[:, 0]
     low, alone = ~tall & (voxels.height >= _FOOT), voxels.observed_unoccupied
     known, known_low = (np.bincount(place[part & voxels.observed], minlength=count) for part in (tall, low))
-    shares = [
-        np.bincount(place[tall & alone & part], minlength=count) / np.maximum(known, 1)
+    alone_share, above_share = (
+        _less_quiet(
+            _smoothed(np.bincount(place[tall & alone & part], minlength=count) / np.maximum(known, 1))
+        )
         for part in (True, others[tuple(slots.T)] > 0)
-    ]
-    smooth = [ndimage.median_filter(share, _SMOOTHED, mode="nearest") for share in shares]
-    smooth = [np.maximum(share - np.quantile(share, _QUIET), 0.0) for share in smooth]
+    )
     foot = np.bincount(place[low & alone], minlength=count) / np.where(known_low > 0, known_low, np.nan)
-    rises = _tops(voxels, slots, tall & alone, np.array(tops.shape)) - others
+    new = tall & alone
+    rises = tops_of_columns(slots[new], voxels.height[new], tops.shape) - others
     step = np.where(others > 0, rises, 0.0).max(axis=1)
-    return _Profile(smooth[0], smooth[1], known > 0, foot, tops > 0, tops.max(axis=1), np.maximum(step, 0.0))
+    return _Profile(alone_share, above_share, known > 0, foot, tops, np.maximum(step, 0.0))
 
 
-def changed_stretches(sides: Sequence[_Profile]) -> list[Stretch]:
+def _smoothed(values: NDArray[Any]) -> NDArray[Any]:
+    """Values (S,) of slots without single ones that differ from those beside them."""
+    return np.asarray(ndimage.median_filter(values, _SMOOTHED, mode="nearest"))
+
+
+def _less_quiet(share: Floats) -> Floats:
+    """Shares (S,) less what the quiet slots of the row show."""
+    return np.maximum(share - np.quantile(share, _QUIET), 0.0)
+
+
+def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     """Find the changed houses of a row: each begins or ends beside one that did not change.
 
     Where a part of a stretch is no house of the row, none of it is. A house was reshaped where it rose or
@@ -172,7 +196,8 @@ def changed_stretches(sides: Sequence[_Profile]) -> list[Stretch]:
     same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known)
     gone = np.isin(kind, _ONLY)
     step = np.where(gone, np.inf, np.maximum(sides[0].step, sides[1].step))
-    houses: list[Stretch] = []
+    built = (sides[0].top > 0) & (sides[1].top > 0) & ~gone & (kind != _PARTLY)
+    houses: list[_Stretch] = []
     most = np.maximum(*(np.where(gone, side.alone, side.above) for side in sides))
     for begin, end in _runs(_clearly(most, kind != _UNCHANGED)):
         clear = float(most[begin:end].mean())
@@ -182,18 +207,13 @@ def changed_stretches(sides: Sequence[_Profile]) -> list[Stretch]:
         )
         if clear < _CLEAR or not any(walls):
             continue
-        edges = _by_kind(kind, begin, end)
-        parts = [_stretch(kind[first:last], first, most[first:last]) for first, last in edges]
-        if all(part is not None and _is_house(sides, kind, part) for part in parts):
-            houses.extend(part for part in parts if part is not None)
+        parts = [
+            _Stretch(first, last, int(np.bincount(kind[first:last]).argmax()), float(most[first:last].mean()))
+            for first, last in _by_kind(kind, begin, end)
+        ]
+        if all(_is_house(sides, built, part) for part in parts):
+            houses.extend(parts)
     return houses
-
-
-def _stretch(kind: Ints, begin: int, share: Floats) -> Stretch | None:
-    """Describe the stretch of slots (S,) from ``begin`` on by what most of them are; None for no house."""
-    usual = int(np.bincount(kind).argmax())
-    only = _ONLY.index(usual) if usual in _ONLY else None
-    return None if usual == _PARTLY else Stretch(begin, begin + len(kind), only, float(share.mean()))
 
 
 def _kinds(sides: Sequence[_Profile]) -> Ints:
@@ -207,11 +227,11 @@ def _kinds(sides: Sequence[_Profile]) -> Ints:
     foot = np.logical_or(*(side.foot >= _GONE for side in sides))
     shared = np.count_nonzero(sides[0].columns & sides[1].columns, axis=1)
     kind = np.select([changed[1], changed[0]], [_GAINED, _LOST], _UNCHANGED)
-    kind[ndimage.median_filter(foot, _SMOOTHED, mode="nearest") & (kind != _UNCHANGED)] = _PARTLY
+    kind[_smoothed(foot) & (kind != _UNCHANGED)] = _PARTLY
     for only, side in enumerate(sides):
         own = np.count_nonzero(side.columns, axis=1)
         gone = (side.alone >= _CHANGED) & (shared <= _LEFT * own) & ~(side.foot < _GONE)
-        kind[ndimage.median_filter(gone, _SMOOTHED, mode="nearest")] = _ONLY[only]
+        kind[_smoothed(gone)] = _ONLY[only]
     return kind
 
 
@@ -228,27 +248,25 @@ def _by_kind(kind: Ints, begin: int, end: int) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _is_house(sides: Sequence[_Profile], kind: Ints, part: Stretch) -> bool:
-    """Tell whether what one epoch alone has is a house of the row, and no wing of its last house.
+def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool:
+    """Tell whether a changed stretch of a row is a house of the row, and no wing of its last house.
 
-    Between houses, which are higher than garages, it is one if it is about as high as the lower of them: an
-    extension is lower. At the end of a long row it must be as high and as deep as the house beside it.
+    What one epoch alone has between houses, which are higher than garages, is one if it is about as high as
+    the lower of them: an extension is lower. At the end of a long row it must be as high and as deep as the
+    house beside it. ``built``: slots (S,) in which both epochs have a house.
     """
-    if part.only is None:
-        return True
-    only, begin, end = part.only, part.begin, part.end
-    own, top = sides[only], float(np.median(sides[only].top[begin:end]))
-    built = (sides[0].top > 0) & (sides[1].top > 0) & ~np.isin(kind, (*_ONLY, _PARTLY))
-    beside = [
-        s
-        for s in (slice(max(begin - _WIDTH, 0), begin), slice(end, end + _WIDTH))
-        if _is_house_wide(built[s])
-    ]
-    tops = [float(np.median(own.top[part])) for part in beside]
+    if stretch.only is None:
+        return stretch.kind != _PARTLY
+    begin, end = stretch.begin, stretch.end
+    own = sides[stretch.only]
+    top = float(np.median(own.top[begin:end]))
+    around = slice(max(begin - _WIDTH, 0), begin), slice(end, end + _WIDTH)
+    beside = [slots for slots in around if _is_house_wide(built[slots])]
+    tops = [float(np.median(own.top[slots])) for slots in beside]
     if len(beside) != 1 or np.count_nonzero(built) < _ROW * (end - begin):
         return len(beside) == 2 and min(tops) >= _GARAGE and top >= _LEAST * min(tops)
-    depths = [float(np.count_nonzero(own.columns[s], axis=1).mean()) for s in (slice(begin, end), beside[0])]
-    return abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1]
+    depths = [np.count_nonzero(own.columns[slots], axis=1).mean() for slots in (slice(begin, end), beside[0])]
+    return bool(abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1])
 
 
 def _is_house_wide(slots: Mask) -> bool:

@@ -72,6 +72,16 @@ def column_keys(xyz: Floats, cell: float) -> Ints:
     return voxel_keys(voxel_indices(xyz * (1.0, 1.0, 0.0), cell))
 
 
+def tops_of_columns(index: Ints, height: Floats, shape: tuple[int, ...]) -> Floats:
+    """Return the largest of the heights (N,) in every column (nx, ny) of a grid, 0 for none [m].
+
+    ``index`` (N, 2): the column of every height.
+    """
+    tops = np.zeros(shape)
+    np.maximum.at(tops, tuple(index.T), height)
+    return tops
+
+
 def compare_volumes(
     before: Voxels, after: Voxels, cell: float, closing: float, ground: OpenGround
 ) -> Volumes:
@@ -165,10 +175,8 @@ def _among(keys: Ints, known: Ints) -> Mask:
 
 
 def _tops(voxels: Voxels, frame: _Frame) -> Floats:
-    tops = np.zeros(frame.shape)
     index = np.floor(voxels.xyz[:, :2] / frame.cell).astype(np.int64) - frame.corner
-    np.maximum.at(tops, (index[:, 0], index[:, 1]), voxels.height)
-    return tops
+    return tops_of_columns(index, voxels.height, frame.shape)
 
 
 def _open(frame: _Frame, where: Mask, tops: Floats, standing: Voxels, empty: Empty | None) -> Mask:

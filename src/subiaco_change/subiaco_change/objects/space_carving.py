@@ -33,7 +33,7 @@ from subiaco_change.method_rules.switches import (
     switchable,
 )
 from subiaco_change.objects.carving_config import CarvingConfig
-from subiaco_change.objects.column_volumes import body_tops
+from subiaco_change.objects.column_volumes import body_tops, tops_of_columns
 from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
@@ -211,8 +211,7 @@ def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
     nx, ny = (int(np.ceil(v / cell)) + 4 for v in extent[:2])
     shape = (nx, ny, max(int(np.ceil(2 * tall / cell)) + 1, 4))
     middles = _middles(corner, turn, shape, cell)
-    near = cKDTree(voxels.xyz[:, :2]).query(middles)[1]
-    foot = (voxels.xyz[:, 2] - voxels.height)[near].reshape(nx, ny)
+    foot = voxels.ground_near(middles).reshape(nx, ny)
     return _Frame(corner, turn, shape, cell, foot)
 
 
@@ -332,10 +331,7 @@ def _not_refuted(other: Voxels, top: Floats, frame: _Frame) -> Floats:
 
 
 def _tops(voxels: Voxels, frame: _Frame) -> Floats:
-    tops = np.zeros(frame.shape[:2])
-    slot = frame.slots(voxels.xyz[:, :2])
-    np.maximum.at(tops, (slot[:, 0], slot[:, 1]), voxels.height)
-    return tops
+    return tops_of_columns(frame.slots(voxels.xyz[:, :2]), voxels.height, frame.shape[:2])
 
 
 def _enclosed(walls: Cells, stops: Cells) -> Cells:

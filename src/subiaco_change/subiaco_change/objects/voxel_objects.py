@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import in_box_around, tree_for_few
 from subiaco_change.method_numbers import NUMBERS
@@ -76,6 +77,11 @@ class Voxels:
     def observed_unoccupied(self) -> Mask:
         """The other epoch observed the place (M,) and has no points there."""
         return self.observed & ~self.occupied_in_other
+
+    def ground_near(self, xy: Floats) -> Floats:
+        """Return the level (N,) of the ground beneath the voxels nearest to places (N, 2) [m]."""
+        nearest = cKDTree(self.xyz[:, :2]).query(xy)[1]
+        return np.asarray((self.xyz[:, 2] - self.height)[nearest])
 
     def select(self, index: NDArray[np.generic]) -> Voxels:
         """Return the voxels of a mask or of indices."""
