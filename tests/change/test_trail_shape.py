@@ -91,6 +91,39 @@ def test_a_row_of_parked_vehicles_beside_a_trail_stays(degrees: float) -> None:
         assert (np.concatenate(chances(*parts)[2:]) > 0.5).mean() > 0.5
 
 
+@pytest.mark.parametrize("degrees", [0.0, 40.0])
+def test_parked_vehicles_that_hide_the_ground_stay_however_narrow_the_gaps_between_them(
+    degrees: float,
+) -> None:
+    """The gaps are 0.7 m wide, 0.3 m beside the trail; each hides the ground beneath its middle."""
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    places = np.arange(-25.5, 26, 5.1)
+    ground = street()
+    beneath = (np.abs(ground[:, None, 0] - places) < 1.9) & (np.abs(ground[:, None, 1] - 2.1) < 0.6)
+    row = [shell(x, 2.1, i, points=2500) for i, x in enumerate(places)]
+    parts = [part @ turn.T for part in (ground[~beneath.any(axis=1)], trail(0.0), *row)]
+
+    def told() -> float:
+        _, moved, *standing = chances(*parts)
+        return float((moved > SURE).mean() - (np.concatenate(standing) > 0.5).mean())
+
+    assert told() > 0.7
+    with rules_switched_off(["parked_beside_trails"]):
+        assert told() < 0.5
+
+
+@pytest.mark.parametrize(("bottom", "is_trail"), [(0.1, False), (0.3, True)])
+def test_a_hedge_that_beams_penetrate_reaches_the_ground_and_a_trail_does_not(
+    bottom: float, is_trail: bool
+) -> None:
+    """A filled swath, 1.8 m wide and 40 m long, on ground that was seen."""
+    low, high = (-20, -0.9, bottom), (20, 0.9, 1.5)
+    swath = np.random.default_rng(3).uniform(low, high, (9000, 3))
+    chance = chances(street(), swath)[1]
+    assert (chance > SURE).mean() > 0.9 if is_trail else chance.max() < 0.5
+
+
 def test_a_long_hedge_on_ground_that_it_hides_is_no_trail() -> None:
     rng = np.random.default_rng(3)
     hedge = np.column_stack(
@@ -166,7 +199,7 @@ def test_a_piece_beyond_a_trail_belongs_to_it_and_one_aside_does_not() -> None:
     body[18:22, 124], body[30:34, 124] = True, True  # 1.2 m beyond its end; 2.4 m beside its edge
     cells = np.where(np.arange(200) < 120, 0.99, 0.0) * body
     ground = np.ones_like(body)
-    raster = Raster(np.zeros((0, 2), np.int64), ground, body, body, np.where(body, 1.5, -np.inf))
+    raster = Raster(np.zeros((0, 2), np.int64), ground, body, body, ~body, np.where(body, 1.5, -np.inf))
     found = with_pieces(cells, raster, SURE, CONFIG)
     assert (found[18:22, 124] >= SURE).all()
     assert not found[30:34, 124].any()

@@ -88,8 +88,8 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
     Rule(
         "parked_beside_trails",
         _HERE,
-        "In a row of parked vehicles each line of cells along the street ends at both ends of a vehicle; that"
-        " of a trail goes on.",
+        "In a row of parked vehicles each line of cells along the street ends at both ends of a vehicle, or"
+        " the vehicle hides the ground; that of a trail goes on, over ground that was seen.",
         (
             "method_numbers.trail_swaths.shortest_parked",
             "method_numbers.trail_swaths.longest_parked",
@@ -100,8 +100,8 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         "trails_by_shape",
         _HERE,
         "In a cloud without beams, a swath as wide as a vehicle, many times as long and filled from side to"
-        " side, on ground that was seen, is a ghost trail.",
-        ("semantics.trail_shape.body_top",),
+        " side, on ground that was seen, with little just above it, is a ghost trail.",
+        ("semantics.trail_shape.body_top", "semantics.trail_shape.foot"),
         guards=True,
     ),
     Rule(
@@ -228,8 +228,10 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
     Rule(
         "cabins",
         _HERE,
-        "A plant of the size of a car that fills the rectangle around it and has a smaller roof is a car.",
+        "A plant of the size of a car that fills the rectangle around it and has a smaller roof is a car;"
+        " what touches the car is thinner than it.",
         (
+            "semantics.vehicles.thinnest_car",
             "semantics.vehicles.cabin_outline",
             "semantics.vehicles.cabin_fill",
             "semantics.vehicles.cabin_share",

@@ -104,8 +104,20 @@ class TrailShapeConfig(StrictModel):
         description="Difference of the fraction of observed ground that changes the log odds of a ghost "
         "trail by 1 [1]",
     )
+    foot: float = Field(
+        0.4,
+        gt=0,
+        lt=1,
+        description="Fraction of the cells of a swath with points between ground and body at which a trail "
+        "is as likely as a hedge; vehicles run on wheels",
+    )
+    foot_scale: float = Field(
+        0.04,
+        gt=0,
+        description="Difference of that fraction that changes the log odds of a ghost trail by 1 [1]",
+    )
     prior: float = Field(
-        -1.0, description="Log odds that a swath is a ghost trail before its shape is considered [1]"
+        -3.0, description="Log odds that a swath is a ghost trail before its shape is considered [1]"
     )
     beside_axis: float = Field(
         -2.0,
@@ -196,12 +208,13 @@ class TrailShapeConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Raster:
-    """Cells of a cloud: ground seen, body of something, highest point [m], and points inside, below roofs."""
+    """Cells of a cloud: ground, body, points inside below roofs, foot just above ground, top [m]."""
 
     index: Ints  # (N, 2) cell of every point
     ground: Mask
     body: Mask
     inside: Mask
+    foot: Mask
     top: Floats
 
 
@@ -221,8 +234,14 @@ def rasterise(xyz: Floats, height: Floats, config: TrailShapeConfig) -> Raster:
     np.maximum.at(top, tuple(index[vehicle].T), height[vehicle])
     roof = ndimage.grey_dilation(top, footprint=AROUND)[tuple(index.T)] - config.roof
     body = vehicle & (height < config.body_top)
+    foot = (height > config.ground_band) & (height <= config.bottom)
     return Raster(
-        index, held(np.abs(height) < config.ground_band), held(body), held(body & (height < roof)), top
+        index,
+        held(np.abs(height) < config.ground_band),
+        held(body),
+        held(body & (height < roof)),
+        held(foot),
+        top,
     )
 
 

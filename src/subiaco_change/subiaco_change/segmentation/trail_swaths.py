@@ -1,8 +1,9 @@
 """Swaths of ghost trails in a raster: of vehicles, of cyclists and people on foot, and their fragments.
 
-The swath of a vehicle is as wide as the vehicle and filled from side to side, on ground that was seen. The
-swath of a person is thin and lies on open ground: a fence, a wall or a hedge of that length hides the ground
-behind it, and a fence is a plane. A person sways, and hid any place beside the way for a moment only.
+The swath of a vehicle is as wide as the vehicle and filled from side to side, on ground that was seen, and
+there is little just above the ground: a vehicle runs on wheels, where a hedge reaches the ground. The swath
+of a person is thin and lies on open ground: a fence, a wall or a hedge of that length hides the ground behind
+it, and a fence is a plane. A person sways, and hid any place beside the way for a moment only.
 
 Where few beams met a moving vehicle, its trail falls apart into fragments. A fragment belongs to a known
 trail if it lies in line with the trail, near it or near a fragment that does, and on ground that was seen. A
@@ -60,9 +61,10 @@ def find_swaths(raster: Raster, config: TrailShapeConfig) -> tuple[Floats, Mask]
     """Return the probability of the cells (rows, columns) of swaths, and all wide bodies."""
     cells = np.zeros(raster.ground.shape)
     wide = ndimage.binary_opening(ndimage.binary_closing(raster.body, AROUND), AROUND)
-    axis, parked = _axis(raster.body, config)
+    axis, parked = _axis(raster, config)
     axis = ndimage.binary_dilation(axis, AROUND, 2)
-    labels, _ = ndimage.label(wide, AROUND)
+    parked = ndimage.binary_dilation(parked, AROUND)
+    labels, _ = ndimage.label(ndimage.binary_opening(wide & ~parked, AROUND), AROUND)
     rim = int(np.ceil(config.beside / config.cell))
     for number, found in enumerate(ndimage.find_objects(labels), 1):
         low = [max(part.start - rim, 0) for part in found]
@@ -70,9 +72,7 @@ def find_swaths(raster: Raster, config: TrailShapeConfig) -> tuple[Floats, Mask]
         window = (slice(low[0], high[0]), slice(low[1], high[1]))
         swath = _measure(labels[window] == number, wide[window], raster, window, config)
         if swath is not None:
-            chance = _by_parts(swath, axis[window], raster, config)
-            chance[ndimage.binary_dilation(parked[window], AROUND)] = 0.0
-            np.copyto(cells[window], chance, where=swath.cells)
+            np.copyto(cells[window], _by_parts(swath, axis[window], raster, config), where=swath.cells)
     return cells, wide
 
 
@@ -96,34 +96,57 @@ def with_edges(cells: Floats, wide: Mask, body: Mask, config: TrailShapeConfig) 
     return np.asarray(found)
 
 
-def _axis(body: Mask, config: TrailShapeConfig) -> tuple[Mask, Mask]:
-    """Tell from which cells (rows, columns) bodies go on along a line, and which stand one behind the other.
+def _axis(raster: Raster, config: TrailShapeConfig) -> tuple[Mask, Mask]:
+    """Tell from which cells (rows, columns) bodies go on along a line, and which are parked vehicles.
 
     From an axis they go on nearly without a gap, forth and back. A parked vehicle that touches a trail is
-    shorter than the line, and is left out. So is one of a row of parked vehicles, of which the rows of cells
-    along the street end at both its ends.
+    shorter than the line, and is left out. So are those of a row beside the trail: the rows of cells along
+    the street end at both ends of each of them, or lead over ground that they hide. Of a trail, the ground
+    was seen before the vehicle came and after it had left.
     """
-    half = max(round(config.run / config.cell), 1)
+    body, half = raster.body, max(round(config.run / config.cell), 1)
     steps = np.arange(-half, half + 1)
     padded = np.pad(body, half)
+    seen_ground = ndimage.binary_closing(raster.ground)
+    lit = np.pad(body & seen_ground, half)
     found = np.zeros(body.shape, dtype=np.bool_)
-    parked = np.zeros(body.shape, dtype=np.bool_)
-    most = np.zeros(body.shape, dtype=np.float32)
+    ends = np.zeros(body.shape, dtype=np.bool_)
+    most, seen = np.zeros((2, *body.shape), dtype=np.float32)
     for angle in np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS:
         line = np.rint(steps[:, None] * np.array([np.cos(angle), np.sin(angle)])).astype(np.int64)
         held, run = _along(padded, line, half)
         found |= np.minimum(held[0] - 1, held[1]) >= config.run_share * half
         along = ndimage.uniform_filter(np.where(body, held.sum(axis=0), 0).astype(np.float32), 4 * half + 1)
         length = run.sum(axis=0) * config.cell
-        ends = (run[0] <= half) & (run[1] < half) & (length >= _SHORTEST) & (length <= _LONGEST)
-        parked = np.where(along > most, ends, parked)
+        parked = (run[0] <= half) & (run[1] < half) & (length >= _SHORTEST) & (length <= _LONGEST)
+        ends = np.where(along > most, parked, ends)
+        share = _count(lit, line, half) / np.maximum(_count(padded, line, half), 1)
+        seen = np.where(along > most, share, seen)
         most = np.maximum(most, along)
-    parked = rule_mask("parked_beside_trails", parked & body)
+    hides = body & (seen < config.ground * _open_share(seen_ground, config))
+    parked = rule_mask(
+        "parked_beside_trails",
+        _vehicles(ends & body, config) | _vehicles(body & ndimage.binary_dilation(hides), config),
+    )
+    return found & ~parked, parked
+
+
+def _vehicles(cells: Mask, config: TrailShapeConfig) -> Mask:
+    """Keep what is as wide and as large as a parked vehicle of some cells (rows, columns)."""
     wide = max(round(_NARROWEST / config.cell), 1)
-    labels, count = ndimage.label(ndimage.binary_opening(parked, np.ones((wide, wide))), AROUND)
+    labels, count = ndimage.label(ndimage.binary_opening(cells, np.ones((wide, wide))), AROUND)
     large = np.bincount(labels.ravel(), minlength=count + 1) * config.cell**2 >= _VEHICLE
     large[0] = False
-    return found & ~large[labels], large[labels]
+    return np.asarray(large[labels])
+
+
+def _count(padded: Mask, line: Ints, half: int) -> NDArray[np.int16]:
+    """Count the cells that hold something along a line through every cell (rows, columns)."""
+    rows, columns = (size - 2 * half for size in padded.shape)
+    total = np.zeros((rows, columns), dtype=np.int16)
+    for row, column in line + half:
+        total += padded[row : row + rows, column : column + columns]
+    return total
 
 
 def _along(padded: Mask, line: Ints, half: int) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
@@ -159,6 +182,8 @@ def _measure(
     ground = raster.ground[window]
     lit = max(float(ground[beside].mean()) if beside.any() else 1.0, 0.1)
     seen = float(ground[cells].mean()) / lit
+    low = float(raster.foot[window][beside].mean()) if beside.any() else 0.0
+    foot = (float(raster.foot[window][cells].mean()) - low) / max(1.0 - low, 0.1)
     length = min(area / width, _extent(cells) * config.cell)
     fill = float(raster.inside[window][inner].mean()) if inner.any() else 0.0
     odds = config.prior + sum(
@@ -167,6 +192,7 @@ def _measure(
             limited(min(width - config.width, config.widest - width) / config.width_scale),
             limited((fill - config.fill) / config.fill_scale),
             limited((seen - config.ground) / config.ground_scale),
+            limited((config.foot - foot) / config.foot_scale),
         )
     )
     return _Swath(cells, odds, lit, window)
