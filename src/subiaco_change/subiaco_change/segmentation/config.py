@@ -309,8 +309,21 @@ class VehicleConfig(StrictModel):
         gt=0,
         description="Height of the uppermost band whose width is compared with the width of the body [m]",
     )
+    car_top: float = Field(2.2, gt=0, description="Largest height above ground of a car [m]")
+    thinnest_car: float = Field(
+        1.5, gt=0, description="Width from which a part of what looks like plants may be a car [m]"
+    )
+    car_hole: float = Field(
+        1.1, ge=0, description="Largest gap between the points of a car, seen from above [m2]"
+    )
+    car_stray: float = Field(
+        0.01,
+        ge=0,
+        lt=0.5,
+        description="Fraction of the points on each side of a body that may belong to what touches it",
+    )
     cabin_outline: float = Field(
-        0.87,
+        0.9,
         gt=0,
         le=1,
         description="Smallest area of the convex outline of a car that looks like a plant, as a fraction of "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import in_box_around
@@ -15,9 +16,11 @@ from subiaco_change.segmentation.clustering import cell_clusters, group_indices,
 from subiaco_change.segmentation.config import VehicleConfig
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.object_rows import split_rows
-from subiaco_geo.clouds import stable_order
+from subiaco_geo.clouds import stable_order, within_box
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
+
+_FEWEST = 15  # points of a vehicle
 
 
 def _no_boxes(xyz: Floats, *_: object) -> tuple[Mask, Mask]:
@@ -147,7 +150,7 @@ def ground_boxes(
 
 def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: VehicleConfig) -> Semantic | None:
     """Class of a compact thing that stands on the ground; None for what is no box of a vehicle's size."""
-    if len(xyz) < 15:
+    if len(xyz) < _FEWEST:
         return None
     if not _fits(xyz, height, hard, config):
         return Semantic.MOBILE if _is_side_of_car(xyz, height, hard, config) else None
@@ -229,23 +232,56 @@ def with_cabins(
 
     Beams pass through windows and meet seats: sampled sparsely, a car is as rough as a shrub. But a car
     fills the rectangle around it, and its roof is much smaller than its body. A hedge is as wide at its top,
-    and what narrows upwards like a shrub is round.
+    and what narrows upwards like a shrub is round. What touches a car, such as a fence, a narrow hedge or the
+    trail of a pedestrian, is thinner than the car and is left out.
     """
-    low = (height > config.split_band) & (height < config.mobile_top)
-    plants = np.flatnonzero((semantic == Semantic.VEGETATION) & low)
+    low = np.flatnonzero((height > config.split_band) & (height < config.car_top))
     completed = semantic.copy()
-    if len(plants):
-        for group in group_indices(cell_clusters(xyz[plants, :2], config.split_gap)):
-            mine = plants[group]
-            if _has_cabin(xyz[mine], height[mine], config):
-                completed[mine] = Semantic.MOBILE
+    parts = _thick_parts(xyz[low, :2], config)
+    low, parts = low[parts >= 0], parts[parts >= 0]
+    for group in group_indices(split_rows(xyz[low, :2], height[low], parts, config.rows)):
+        mine = low[group]
+        plant = semantic[mine] == Semantic.VEGETATION
+        if plant.mean() > config.leafy and has_cabin(xyz[mine], height[mine], config):
+            completed[mine] = Semantic.MOBILE
     return completed
 
 
-def _has_cabin(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
-    """Tell a body of the size of a car that fills the rectangle around it, and that has a smaller roof."""
-    sides, top = box_coordinates(xyz[:, :2]), quantile_of(height, 0.98)
-    length, width = np.ptp(sides, axis=0).tolist()
+def _thick_parts(xy: Floats, config: VehicleConfig) -> Ints:
+    """Return the number (N,) of the part of each point (N, 2); below 0 what is thinner than a car."""
+    if len(xy) == 0:
+        return np.zeros(0, dtype=np.int64)
+    cell = np.floor(xy / config.split_gap).astype(np.int64)
+    cell -= cell.min(axis=0) - 1
+    held = np.zeros(cell.max(axis=0) + 2, dtype=bool)
+    held[tuple(cell.T)] = True
+    half = 0.5 * config.thinnest_car / config.split_gap
+    holes, count = ndimage.label(~held)
+    small = np.bincount(holes.ravel(), minlength=count + 1) * config.split_gap**2 <= config.car_hole
+    filled = held | small[holes]
+    cores, _ = ndimage.label(ndimage.distance_transform_edt(filled) > half, np.ones((3, 3)))
+    away, nearest = ndimage.distance_transform_edt(cores == 0, return_indices=True)
+    parts = np.where((away <= half) & held, cores[tuple(nearest)], 0)
+    return np.asarray(parts[tuple(cell.T)] - 1, dtype=np.int64)
+
+
+def has_cabin(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
+    """Tell a body of the size of a car that fills the rectangle around it, and that has a smaller roof.
+
+    Parameters
+    ----------
+    xyz, height : (N, 3), (N,) float64
+        Points of the body, and their height above ground [m].
+    config : VehicleConfig
+    """
+    if len(xyz) < _FEWEST:
+        return False
+    sides = box_coordinates(xyz[:, :2])
+    low, high = np.quantile(sides, [config.car_stray, 1.0 - config.car_stray], axis=0)
+    inner = within_box(sides, low, high)
+    sides, xyz, height = sides[inner], xyz[inner], height[inner]
+    top = quantile_of(height, 0.98)
+    length, width = (high - low).tolist()
     if not _is_car_sized(length, width, top, config):
         return False
     body, roof = (_held(s, config.split_gap) for s in (sides, sides[height > top - config.top_band]))
@@ -356,4 +392,6 @@ def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bo
 
 def _is_car_sized(length: float, width: float, top: float, config: VehicleConfig) -> bool:
     """Tell what is as long, as wide and as high as a car [m]."""
-    return bool(config.car_length < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2)
+    return bool(
+        config.car_length < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < config.car_top
+    )
