@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from test_measures import block
 from test_one_epoch_parts import obj
 
+from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
@@ -17,6 +18,7 @@ from subiaco_change.decisions.dynamic_objects import (
     limit_confidence,
     own_epoch_evidence,
 )
+from subiaco_change.decisions.object_decision import ObjectRules, decide_object
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.trail_shapes import (
     contrast_with_ground,
@@ -26,6 +28,8 @@ from subiaco_change.decisions.trail_shapes import (
     decide_strip_on_road,
     doubt_of_porous,
 )
+from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.measures import MeasureConfig
 from subiaco_change.objects.voxel_objects import OTHERS, EpochView, ObjectInstance
 from subiaco_geo.codes import Change, Semantic
 
@@ -347,6 +351,33 @@ def test_what_has_few_points_and_hides_none_of_the_ground_is_not_claimed(
     decision = decide_by_ground_beneath(contrast(fill, top, semantic, on_asphalt(hidden)))
     assert (decision is not None and decision.change is Change.UNOBSERVED) == seen_through
     assert decide_by_ground_beneath(contrast(fill, top, semantic, COUNTED)) is None
+
+
+def vehicle_on_asphalt(cabin):
+    """A new vehicle of 4.4 by 1.8 m, seen from above: with a cabin, or a box."""
+    rng = np.random.default_rng(12)
+    xy = rng.uniform([0, 0], [4.4, 1.8], (150, 2))
+    top = np.where(np.abs(xy[:, 0] - 2.0) < 1.1, 1.5, 0.9) if cabin else np.full(len(xy), 1.5)
+    seen = obj([(np.column_stack([xy, rng.uniform(0.8, 1.0, len(xy)) * top]), False)])
+    free = np.ones(len(seen.voxels), dtype=bool)
+    return replace(seen, voxels=replace(seen.voxels, free_space_confirmed=free))
+
+
+@pytest.mark.parametrize(
+    ("cabin", "off", "change"),
+    [
+        (True, (), Change.ADDED),
+        (True, ("cabins_stand",), Change.UNOBSERVED),
+        (False, (), Change.UNOBSERVED),
+    ],
+)
+def test_a_vehicle_with_a_cabin_stood_though_the_ground_beneath_was_seen(cabin, off, change):
+    road = np.stack(np.meshgrid(np.arange(-3, 8, 0.1), np.arange(-4, 6, 0.1)), axis=-1).reshape(-1, 2)
+    own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(road))
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), RULES, own=(None, own))
+    with rules_switched_off(off):
+        found = decide_object((), (vehicle_on_asphalt(cabin),), Semantic.MOBILE, rules)
+    assert found.decision.change is change
 
 
 @pytest.mark.parametrize(

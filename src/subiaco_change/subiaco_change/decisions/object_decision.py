@@ -34,7 +34,7 @@ from subiaco_change.decisions.trail_shapes import (
     doubt_of_porous,
 )
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
-from subiaco_change.decisions.vehicle_parts import decide_vehicle_part
+from subiaco_change.decisions.vehicle_parts import decide_vehicle_part, is_standing_car
 from subiaco_change.decisions.view_of_crowns import within_view
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
@@ -44,6 +44,7 @@ from subiaco_change.objects.known_space import ALL_FREE, KnownSpaces
 from subiaco_change.objects.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.objects.space_carving import Interval
 from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.segmentation.config import VehicleConfig
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -106,6 +107,7 @@ class ObjectRules:
     around: tuple[Surroundings | None, Surroundings | None] = (None, None)  # what both hold farther around
     from_above: bool = False  # whether both epochs were measured from above
     plants: PlantConfig = field(default_factory=PlantConfig)
+    vehicles: VehicleConfig = field(default_factory=VehicleConfig)
 
 
 def decide_object(
@@ -137,19 +139,20 @@ def decide_object(
     own = rules.own[epoch]
     doubt = ""
     if decision.change in ONE_EPOCH:
-        contrast = contrast_with_ground(parts, semantic, own, rules.decisions)
+        shape = None if is_standing_car(parts, semantic, rules.vehicles) else own
+        contrast = contrast_with_ground(parts, semantic, shape, rules.decisions)
         decision = (
             decide_misclassified_ground(semantic, parts)
             or decide_floating_line(parts, rules.spaces[epoch].standing, rules.decisions)
             or decide_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
-            or decide_strip_on_road(parts, own, rules.decisions)
-            or decide_person_on_the_way(parts, semantic, own)
+            or decide_strip_on_road(parts, shape, rules.decisions)
+            or decide_person_on_the_way(parts, semantic, shape)
             or decide_by_ground_beneath(contrast)
             or decide_by_side(contrast)
             or decide_in_traffic(parts, rules.lanes, rules.moved[epoch], rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_piece_of_trail(
-                parts, semantic, own, rules.around[epoch], rules.around[1 - epoch], rules.decisions
+                parts, semantic, shape, rules.around[epoch], rules.around[1 - epoch], rules.decisions
             )
             or decide_vehicle_part(parts, semantic, measures, rules.spaces[1 - epoch].standing)
             or decision

@@ -111,6 +111,13 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "cabins_stand",
+        _HERE,
+        "A vehicle of one epoch with a bonnet and a cabin stood: in a cloud without counts of beams, neither"
+        " its shape nor the ground beneath makes it a ghost trail.",
+        ("semantics.vehicles.cabin_share",),
+    ),
+    Rule(
         "trail_in_pieces",
         _HERE,
         "Nothing is claimed of an object of one epoch in a row of pieces as wide as a vehicle and longer than"

@@ -34,6 +34,7 @@ from subiaco_change.objects.known_space import Certainty, Empty, Free, KnownSpac
 from subiaco_change.objects.measures import MeasureConfig
 from subiaco_change.objects.voxel_objects import NO_OBJECT, OTHERS, EpochView
 from subiaco_change.records import ChangeRecord
+from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.strategies import Part, choose_strategies
 from subiaco_change.tiling.candidate_groups import CandidateGroups
 from subiaco_change.tiling.epoch_tiles import EpochContext
@@ -165,6 +166,7 @@ class ComparisonSlice:
     association: AssociationConfig
     decisions: DecisionConfig
     plants: PlantConfig
+    semantics: SemanticsConfig
     confidence: ConfidenceConfig
     without: tuple[Part, ...]
     rules_off: tuple[str, ...]
@@ -267,7 +269,12 @@ def object_rules(config: ComparisonSlice | ChangeConfig) -> ObjectRules:
     strategy = choose_strategies(config.without)
     decisions = strategy.decisions(config.decisions)
     return ObjectRules(
-        config.measures, config.association, decisions, strategy.by_class, plants=config.plants
+        config.measures,
+        config.association,
+        decisions,
+        strategy.by_class,
+        plants=config.plants,
+        vehicles=config.semantics.vehicles,
     )
 
 
