@@ -60,6 +60,13 @@ def test_a_lower_wing_at_the_end_of_a_row_is_no_house_of_the_row():
     assert changed(houses((4.0, 4.0, 4.0, 0.0)), houses((4.0, 4.0, 4.0, 2.8))) == []
 
 
+@pytest.mark.parametrize(("width", "is_house"), [(3.5, False), (5.0, True)])
+def test_a_narrow_part_at_the_end_of_a_row_may_be_an_extension_though_as_high_as_the_row(width, is_house):
+    slots = round(width / CELL)
+    rows = [np.concatenate([houses((4.0, 4.0, 4.0)), np.full(slots, top)]) for top in (0.0, 4.0)]
+    assert changed(*rows) == ([3] if is_house else [])
+
+
 def test_what_was_taken_down_between_a_house_and_its_garage_is_a_part_of_the_house():
     assert changed(houses((2.4, 4.0, 4.0)), houses((2.4, 0.0, 4.0))) == []
 

@@ -33,6 +33,7 @@ _CHANGED = NUMBERS.changed_houses.changed_share
 _CLEAR = NUMBERS.changed_houses.clear_share
 _GONE = NUMBERS.changed_houses.gone_share
 _LEFT = NUMBERS.changed_houses.left_columns
+_END = round(NUMBERS.changed_houses.end_front / _COLUMN)
 _SAME = NUMBERS.changed_houses.same_top
 _ALIKE = NUMBERS.changed_houses.neighbour_share
 _ROW = NUMBERS.changed_houses.houses_of_row
@@ -253,7 +254,7 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
 
     What one epoch alone has between houses, which are higher than garages, is one if it is about as high as
     the lower of them: an extension is lower. At the end of a long row it must be as high and as deep as the
-    house beside it. ``built``: slots (S,) in which both epochs have a house.
+    house beside it, and wider than most extensions. ``built``: slots (S,) in which both epochs have a house.
     """
     if stretch.only is None:
         return stretch.kind != _PARTLY
@@ -265,6 +266,8 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     tops = [float(np.median(own.top[slots])) for slots in beside]
     if len(beside) != 1 or np.count_nonzero(built) < _ROW * (end - begin):
         return len(beside) == 2 and min(tops) >= _GARAGE and top >= _LEAST * min(tops)
+    if end - begin < _END:
+        return False
     depths = [np.count_nonzero(own.columns[slots], axis=1).mean() for slots in (slice(begin, end), beside[0])]
     return bool(abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1])
 

@@ -59,6 +59,10 @@ class ChangedHousesNumbers(StrictModel):
         description="Number of houses, as long as the changed one, that remain of a row at whose end a house "
         "is new or gone",
     )
+    end_front: float = Field(
+        4.5,
+        description="Smallest width of a house at the end of a row; what is narrower may be an extension [m]",
+    )
     same_top: float = Field(0.75, description="Largest height difference of houses of one height [m]")
     neighbour_share: float = Field(
         0.8,

@@ -411,6 +411,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.changed_houses.least_top",
             "method_numbers.changed_houses.garage_height",
             "method_numbers.changed_houses.houses_of_row",
+            "method_numbers.changed_houses.end_front",
             "method_numbers.changed_houses.same_top",
             "method_numbers.changed_houses.neighbour_share",
         ),
