@@ -51,10 +51,15 @@ def chances(*parts: Floats) -> list[Floats]:
     return np.split(found, np.cumsum([len(part) for part in parts])[:-1])
 
 
+def turned(degrees: float) -> Floats:
+    """Rotation (3, 3) of a street about the vertical."""
+    angle = np.radians(degrees)
+    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+
+
 @pytest.mark.parametrize("degrees", [0.0, 17.0, 45.0, 100.0])
 def test_a_trail_is_told_from_its_shape_in_every_direction(degrees: float) -> None:
-    angle = np.radians(degrees)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    turn = turned(degrees)
     ground, moved = chances(street() @ turn.T, trail(0.0) @ turn.T)
     assert (moved > SURE).mean() > 0.9
     assert (ground > 0.5).mean() < 0.01
@@ -75,8 +80,7 @@ def test_most_of_a_standing_vehicle_beside_a_trail_stays() -> None:
 @pytest.mark.parametrize("degrees", [0.0, 40.0])
 def test_a_row_of_parked_vehicles_beside_a_trail_stays(degrees: float) -> None:
     """The road is seen beneath the vehicles, and the row is filled: gaps of 1.4 m alone tell it apart."""
-    angle = np.radians(degrees)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    turn = turned(degrees)
     rng = np.random.default_rng(9)
     seats = rng.uniform((-2.0, -0.7, 0.4), (2.0, 0.7, 1.1), (300, 3))
     row = [
@@ -96,8 +100,7 @@ def test_parked_vehicles_that_hide_the_ground_stay_however_narrow_the_gaps_betwe
     degrees: float,
 ) -> None:
     """The gaps are 0.7 m wide, 0.3 m beside the trail; each hides the ground beneath its middle."""
-    angle = np.radians(degrees)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    turn = turned(degrees)
     places = np.arange(-25.5, 26, 5.1)
     ground = street()
     beneath = (np.abs(ground[:, None, 0] - places) < 1.9) & (np.abs(ground[:, None, 1] - 2.1) < 0.6)

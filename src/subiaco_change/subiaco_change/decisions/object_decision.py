@@ -32,9 +32,10 @@ from subiaco_change.decisions.trail_shapes import (
     decide_person_on_the_way,
     decide_strip_on_road,
     doubt_of_porous,
+    is_standing_car,
 )
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
-from subiaco_change.decisions.vehicle_parts import decide_vehicle_part, is_standing_car
+from subiaco_change.decisions.vehicle_parts import decide_vehicle_part
 from subiaco_change.decisions.view_of_crowns import within_view
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
@@ -139,6 +140,7 @@ def decide_object(
     own = rules.own[epoch]
     doubt = ""
     if decision.change in ONE_EPOCH:
+        # The evidence for rules of shape: a standing car is no ghost trail by its shape.
         shape = None if is_standing_car(parts, semantic, rules.vehicles) else own
         contrast = contrast_with_ground(parts, semantic, shape, rules.decisions)
         decision = (

@@ -19,8 +19,10 @@ from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_ve
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import no_decision, switchable
+from subiaco_change.method_rules.switches import never, no_decision, switchable
 from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.segmentation.config import VehicleConfig
+from subiaco_change.segmentation.vehicles import has_cabin
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
@@ -85,7 +87,7 @@ def decide_person_on_the_way(
     length, width = strip_of(xy)[0], _local_width(xy)
     if not (_PERSON_WIDTH[0] <= width <= _PERSON_WIDTH[1] and length >= _WALKED):
         return None
-    foot, top = np.quantile(xyz[:, 2] - join_voxels(objects).ground_near(xy), [0.05, 0.95])
+    foot, top = np.quantile(_heights(xyz, objects), [0.05, 0.95])
     if foot > _PERSON_FOOT or not _PERSON_TOP[0] <= top <= _PERSON_TOP[1]:
         return None
     if _road_beneath(xy, own.ground.data) < _PERSON_GROUND:
@@ -96,6 +98,20 @@ def decide_person_on_the_way(
         " claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+@switchable("cabins_stand", never)
+def is_standing_car(objects: Sequence[ObjectInstance], semantic: Semantic, config: VehicleConfig) -> bool:
+    """Tell a standing car by its cabin: a moving car leaves its roof along the whole ghost trail."""
+    if semantic is not Semantic.MOBILE:
+        return False
+    xyz = np.concatenate([t.xyz for t in objects])
+    return has_cabin(xyz, _heights(xyz, objects), config)
+
+
+def _heights(xyz: Floats, objects: Sequence[ObjectInstance]) -> Floats:
+    """Heights (N,) of points (N, 3) of objects above the ground beneath their voxels [m]."""
+    return np.asarray(xyz[:, 2] - join_voxels(objects).ground_near(xyz[:, :2]))
 
 
 @dataclass(frozen=True)

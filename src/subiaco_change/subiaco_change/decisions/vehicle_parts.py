@@ -1,25 +1,22 @@
 """Parts of vehicles that exist in one epoch only.
 
 Where another vehicle stands in the place of the first, it is longer or higher by a part; and of a parked
-vehicle, one epoch may have seen an end that the other only grazed. What has a cabin stood.
+vehicle, one epoch may have seen an end that the other only grazed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from shapely import Point
 
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.geometry import in_box_around, lies_near
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, never, no_decision, switchable
+from subiaco_change.method_rules.switches import applies, no_decision, switchable
 from subiaco_change.objects.measures import Measures, footprint_sides, oriented_rectangle
 from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.segmentation.bounding_rectangles import in_box_of
-from subiaco_change.segmentation.config import VehicleConfig
-from subiaco_change.segmentation.vehicles import has_cabin
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
@@ -29,15 +26,6 @@ _NEXT = NUMBERS.vehicle_parts.adjacent
 _HELD = NUMBERS.vehicle_parts.adjacent_share
 _LENGTH = NUMBERS.vehicle_parts.vehicle_length
 _HELD_END = NUMBERS.vehicle_parts.adjacent_share_of_end
-
-
-@switchable("cabins_stand", never)
-def is_standing_car(objects: Sequence[ObjectInstance], semantic: Semantic, config: VehicleConfig) -> bool:
-    """Tell a car by its cabin: one that moved left its roof all along its trail, also over its bonnet."""
-    if semantic is not Semantic.MOBILE:
-        return False
-    xyz = np.concatenate([t.xyz for t in objects])
-    return has_cabin(xyz, xyz[:, 2] - join_voxels(objects).ground_near(xyz[:, :2]), config)
 
 
 @switchable("parts_of_vehicles", no_decision)

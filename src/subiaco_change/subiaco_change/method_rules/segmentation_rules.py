@@ -229,7 +229,7 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         "cabins",
         _HERE,
         "A plant of the size of a car that fills the rectangle around it and has a smaller roof is a car;"
-        " what touches the car is thinner than it.",
+        " objects that touch the car are thinner than the car.",
         (
             "semantics.vehicles.thinnest_car",
             "semantics.vehicles.cabin_outline",

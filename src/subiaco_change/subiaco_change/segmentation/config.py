@@ -320,7 +320,7 @@ class VehicleConfig(StrictModel):
         0.01,
         ge=0,
         lt=0.5,
-        description="Fraction of the points on each side of a body that may belong to what touches it",
+        description="Fraction of the points on each side of a car that may belong to another object",
     )
     cabin_outline: float = Field(
         0.9,

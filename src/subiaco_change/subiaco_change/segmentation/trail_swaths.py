@@ -118,10 +118,10 @@ def _axis(raster: Raster, config: TrailShapeConfig) -> tuple[Mask, Mask]:
         found |= np.minimum(held[0] - 1, held[1]) >= config.run_share * half
         along = ndimage.uniform_filter(np.where(body, held.sum(axis=0), 0).astype(np.float32), 4 * half + 1)
         length = run.sum(axis=0) * config.cell
-        parked = (run[0] <= half) & (run[1] < half) & (length >= _SHORTEST) & (length <= _LONGEST)
-        ends = np.where(along > most, parked, ends)
-        share = _count(lit, line, half) / np.maximum(_count(padded, line, half), 1)
-        seen = np.where(along > most, share, seen)
+        ends_here = (run[0] <= half) & (run[1] < half) & (length >= _SHORTEST) & (length <= _LONGEST)
+        seen_here = _count(lit, line, half) / np.maximum(_count(padded, line, half), 1)
+        longer = along > most
+        ends, seen = np.where(longer, ends_here, ends), np.where(longer, seen_here, seen)
         most = np.maximum(most, along)
     hides = body & (seen < config.ground * _open_share(seen_ground, config))
     parked = rule_mask(
@@ -141,7 +141,7 @@ def _vehicles(cells: Mask, config: TrailShapeConfig) -> Mask:
 
 
 def _count(padded: Mask, line: Ints, half: int) -> NDArray[np.int16]:
-    """Count the cells that hold something along a line through every cell (rows, columns)."""
+    """Count the cells that hold something at steps (K, 2) of a line from every cell (rows, columns)."""
     rows, columns = (size - 2 * half for size in padded.shape)
     total = np.zeros((rows, columns), dtype=np.int16)
     for row, column in line + half:
@@ -157,12 +157,13 @@ def _along(padded: Mask, line: Ints, half: int) -> tuple[NDArray[np.int16], NDAr
     rows, columns = (size - 2 * half for size in padded.shape)
     before, after = (tuple(line[half + step]) for step in (-1, 1))
     closed = padded | (np.roll(padded, before, (0, 1)) & np.roll(padded, after, (0, 1)))
-    held, run = np.zeros((2, 2, rows, columns), dtype=np.int16)
-    for side, way in enumerate((line[half::-1], line[half + 1 :])):
+    ways = line[half::-1], line[half + 1 :]
+    held = np.stack([_count(closed, way, half) for way in ways])
+    run = np.zeros_like(held)
+    for side, way in enumerate(ways):
         missed = np.zeros((rows, columns), dtype=np.int8)
         for row, column in way + half:
             there = slice(row, row + rows), slice(column, column + columns)
-            held[side] += closed[there]
             missed = np.where(padded[there] & (missed < 2), 0, missed + 1)
             run[side] += missed < 2
     return held, run

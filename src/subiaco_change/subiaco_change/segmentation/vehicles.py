@@ -232,8 +232,8 @@ def with_cabins(
 
     Beams pass through windows and meet seats: sampled sparsely, a car is as rough as a shrub. But a car
     fills the rectangle around it, and its roof is much smaller than its body. A hedge is as wide at its top,
-    and what narrows upwards like a shrub is round. What touches a car, such as a fence, a narrow hedge or the
-    trail of a pedestrian, is thinner than the car and is left out.
+    and a shrub that narrows upwards is round. Objects that touch a car, such as a fence, a narrow hedge or
+    the ghost trail of a pedestrian, are thinner than the car and are left out.
     """
     low = np.flatnonzero((height > config.split_band) & (height < config.car_top))
     completed = semantic.copy()
