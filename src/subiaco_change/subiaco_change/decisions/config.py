@@ -110,6 +110,18 @@ class MovableLimits(StrictModel):
         0.20, ge=0, le=1, description="Voxel intersection over union above which an object is unchanged [1]"
     )
     shift: float = Field(2.0, gt=0, description="Largest centroid distance of an unchanged object [m]")
+    longest: float = Field(
+        4.0,
+        gt=0,
+        description="Length of the longest thing of no other class that is moved, not built; a longer one is "
+        "a fence or a wall [m]",
+    )
+    tallest: float = Field(
+        2.5,
+        gt=0,
+        description="Height of the tallest thing of no other class that is moved, not built; a taller one is "
+        "a pole or a sign [m]",
+    )
 
 
 class DecisionConfig(StrictModel):

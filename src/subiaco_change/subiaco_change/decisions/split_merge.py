@@ -30,7 +30,7 @@ from subiaco_change.instance_splitting.merged_instances import (
 )
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, never, no_decision, switchable
 from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
@@ -135,13 +135,24 @@ def _extended(
 
 def _is_apart(change: ObjectChange, rules: ObjectRules) -> bool:
     """Tell whether both epochs have an object, and too little of it in common to be compared."""
+    if not (change.before and change.after):
+        return False
     decisions = rules.decisions
     least = {
         Semantic.BUILDING: decisions.building.min_iou,
         Semantic.VEGETATION: decisions.vegetation.min_iou,
     }
-    both = bool(change.before and change.after)
-    return both and change.measures.iou <= least.get(change.semantic, -1.0)
+    if change.semantic is Semantic.OTHER and all(_is_fixed(p, rules) for p in (change.before, change.after)):
+        least[Semantic.OTHER] = decisions.mobile.same_iou
+    return change.measures.iou <= least.get(change.semantic, -1.0)
+
+
+@switchable("fixed_objects", never)
+def _is_fixed(parts: Sequence[ObjectInstance], rules: ObjectRules) -> bool:
+    """Tell a fence, a wall or a pole from what people move: it is longer or taller."""
+    voxels, limits = join_voxels(parts), rules.decisions.mobile
+    length = float(np.linalg.norm(np.ptp(voxels.xyz[:, :2], axis=0)))
+    return length > limits.longest or float(voxels.height.max()) > limits.tallest
 
 
 def _owner(piece: Piece, bodies: Sequence[Piece], touch: float) -> int:
@@ -215,7 +226,7 @@ def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
 def part_hardly_overlapping(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the objects of a match apart where they overlap too little to be compared (paper: limit of IoU).
 
-    A house that was built over the remains of a wall is a new house.
+    A house that was built over the remains of a wall is a new house, and so is a wall beside a former fence.
     """
     told: list[ObjectChange] = []
     for change in changes:
@@ -413,7 +424,10 @@ def _classes_as_they_are(
 def unify_classes(
     before: list[ObjectInstance], after: list[ObjectInstance], config: AssociationConfig, tolerance: float
 ) -> tuple[list[ObjectInstance], list[ObjectInstance]]:
-    """Give one object one class (C6): where two objects mostly coincide, the better score wins."""
+    """Give one object one class (C6): where two objects mostly coincide, the better score wins.
+
+    A vehicle that its shape showed in one epoch is no plant in the other: half hidden, it is as rough as one.
+    """
     if not before or not after:
         return before, after
     forward, backward = overlap_counts(before, after, tolerance)
@@ -427,5 +441,7 @@ def unify_classes(
         if min(shares) < config.same_place:
             continue
         winner = b.semantic if b.score >= a.score else a.semantic
+        if applies("vehicles_as_plants", {b.semantic, a.semantic} == {Semantic.MOBILE, Semantic.VEGETATION}):
+            winner = Semantic.MOBILE
         before[i], after[j] = replace(b, semantic=winner), replace(a, semantic=winner)
     return before, after

@@ -15,7 +15,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import bdtr
 
-from subiaco_change.instance_splitting.one_epoch_parts import join_parts, split_by_labels, with_free
+from subiaco_change.instance_splitting.one_epoch_parts import (
+    has_top,
+    join_parts,
+    split_by_labels,
+    with_free,
+)
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.objects.voxel_objects import (
@@ -136,7 +141,7 @@ def _felled(voxels: Voxels, view: EpochView, other: EpochView, reach: Reach) -> 
     for group in group_indices(cell_clusters(xy[core], _JOINED * reach.high)):
         middle = core[group]
         gone = _is_gone(xy[middle], own, seen, passed, beside)
-        if not gone or not _has_top(voxels.xyz, middle, places, max(_TOP, reach.high)):
+        if not gone or not has_top(voxels.xyz, middle, places, max(_TOP, reach.high)):
             continue
         count += 1
         near = cKDTree(xy[middle]).query(xy)[0]
@@ -156,10 +161,3 @@ def _is_gone(xy: Floats, own: _Plan, seen: _Plan, passed: float, reach: float) -
     through = max(passed, _share(*own.counts(xy, reach)))
     low, every = seen.counts(xy, reach)
     return bool(bdtr(every - low, every, 1.0 - through) <= _CHANCE)
-
-
-def _has_top(xyz: Floats, core: Ints, places: Ints, reach: float) -> bool:
-    """Tell whether a place among some (indices into M, 3) is the highest around: of trimmed sides none is."""
-    tree, height = cKDTree(xyz[places, :2]), xyz[places, 2]
-    around = tree.query_ball_point(xyz[core, :2], reach)
-    return any(height[near].max() <= z for near, z in zip(around, xyz[core, 2].tolist(), strict=True))

@@ -14,11 +14,13 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, switchable
 from subiaco_change.objects.known_space import ALL_FREE, Free, KnownSpaces
 from subiaco_change.objects.plant_tops import TopConfig, open_above
-from subiaco_change.objects.voxel_objects import ObjectInstance
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
+from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.hedge_sections.cell
 _LOW = NUMBERS.hedge_sections.largest_height
+_FOOT = NUMBERS.hedge_sections.foot
 _POINTS = NUMBERS.hedge_sections.column_points
 _CELLS = NUMBERS.hedge_sections.section_columns
 _LENGTH = NUMBERS.hedge_sections.section_length
@@ -47,12 +49,14 @@ def changed_sections(
     *after* tell. Returns the sections, and all
     columns compared (C, 2).
     """
-    heights = np.concatenate([t.voxels.height for t in (*before, *after)])
-    if np.quantile(heights, 0.98) > _LOW:
-        return [], np.zeros((0, 2))
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
     corner, tops = _tops(first, second)
+    known = np.isfinite(tops).all(axis=0)
+    low = _low_columns([join_voxels(objects) for objects in (before, after)], corner, known.shape)
+    tops = np.where(low, tops, np.nan)
     rise = _smooth(tops[1] - tops[0])
+    if not np.isfinite(rise).any():
+        return [], np.zeros((0, 2))
     threshold = max(threshold, 1.96 * math.hypot(_roughness(tops[0]), _roughness(tops[1])))
     sections = []
     for sign in (1.0, -1.0):
@@ -67,8 +71,25 @@ def changed_sections(
                 xy, tops[lower][tuple(cells.T)], tops[1 - lower][tuple(cells.T)], spaces[lower].above, config
             ):
                 sections.append(HedgeSection(xy, float(np.median(rise[labels == number])), threshold))
-    known = np.argwhere(np.isfinite(rise))
-    return sections, _middles(known + corner)
+    columns = np.argwhere(np.isfinite(rise) | (known & ~low))
+    return sections, _middles(columns + corner)
+
+
+def _low_columns(sides: Sequence[Voxels], corner: Ints, shape: tuple[int, int]) -> Mask:
+    """Tell which columns of a plant are of a hedge in both epochs, where others are of a crown.
+
+    A hedge begins at the ground and ends below what is seen from beneath.
+    """
+    found = np.ones(shape, dtype=bool)
+    if np.quantile(np.concatenate([v.height for v in sides]), 0.98) <= _LOW:
+        return found
+    for voxels in sides:
+        place = tuple((np.floor(voxels.xyz[:, :2] / _CELL).astype(np.int64) - corner).T)
+        top, foot = np.full(shape, -np.inf), np.full(shape, np.inf)
+        np.maximum.at(top, place, voxels.height)
+        np.minimum.at(foot, place, voxels.height)
+        found &= (top <= _LOW) & (foot <= _FOOT)
+    return found
 
 
 def _spread(values: Floats) -> float:

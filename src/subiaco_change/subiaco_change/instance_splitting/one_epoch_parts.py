@@ -10,18 +10,20 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import PartConfig
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, first_argument, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
 from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
-from subiaco_geo.frames import Ints
+from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.one_epoch_parts.cell
 _WELL_KNOWN = NUMBERS.one_epoch_parts.observed_voxels
 _FAR = NUMBERS.one_epoch_parts.far_share
 _ABOVE = NUMBERS.one_epoch_parts.overhang
+_TOP = NUMBERS.felled_crowns.top_reach
+_OBJECT = NUMBERS.one_epoch_parts.object_voxels
 
 
 @switchable("parts_of_one_epoch", first_argument)
@@ -160,12 +162,38 @@ def _free_columns(
 
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
     voxels = obj.voxels
-    if voxels.height[piece].min() > config.foot or np.quantile(voxels.height[piece], 0.9) < config.top:
+    lowest, top = voxels.height[piece].min(), np.quantile(voxels.height[piece], 0.9)
+    if (lowest > config.foot and not _is_felled(obj, piece, config)) or top < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
     inside = _below(obj, piece, column) & voxels.observed
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
+
+
+@switchable("hidden_trunks", never)
+def _is_felled(obj: ObjectInstance, piece: Ints, config: PartConfig) -> bool:
+    """Tell a tree from the side of a crown, where parked cars hide the trunk: a tree has a top of its own."""
+    if obj.semantic is not Semantic.VEGETATION or obj.voxels.height[piece].min() > config.hidden_foot:
+        return False
+    return has_top(obj.voxels.xyz, piece, np.arange(len(obj.voxels)), _TOP)
+
+
+def has_top(xyz: Floats, part: Ints, places: Ints, reach: float) -> bool:
+    """Tell whether a place of a part is the highest around: of the trimmed side of a crown none is.
+
+    Parameters
+    ----------
+    xyz : (M, 3) float64
+        Places of plants [m].
+    part, places : (P,), (Q,) int64
+        Which of them the part has, and which count around it.
+    reach : float
+        Distance seen from above within which no place is higher [m].
+    """
+    tree, height = cKDTree(xyz[places, :2]), xyz[places, 2]
+    around = tree.query_ball_point(xyz[part, :2], reach)
+    return any(height[near].max() <= z for near, z in zip(around, xyz[part, 2].tolist(), strict=True))
 
 
 def _below(obj: ObjectInstance, piece: Ints, column: Ints) -> Mask:
@@ -191,7 +219,9 @@ def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
         source = np.flatnonzero(known & ((labels > 0) | (not most)))
         nearest = cKDTree(obj.voxels.xyz[source]).query(obj.voxels.xyz[~known])[1]
         labels[~known] = labels[source][nearest]
-    return large_parts(labels, obj, config.points, config.remainder * len(obj.xyz))
+    left = np.count_nonzero(obj.voxels.occupied_in_other & (labels == 0))
+    large = applies("remaining_object", left >= _OBJECT)
+    return large_parts(labels, obj, config.points, 0.0 if large else config.remainder * len(obj.xyz))
 
 
 def large_parts(labels: Ints, obj: ObjectInstance, least: int, least_left: float) -> Ints:

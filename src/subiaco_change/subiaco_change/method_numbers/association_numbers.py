@@ -132,6 +132,9 @@ class HedgeSectionsNumbers(StrictModel):
         3.0,
         description="Height of a plant above which its tops are observed from below and not compared [m]",
     )
+    foot: float = Field(
+        1.0, description="Height up to which a hedge that stands beside a tree must begin in a column [m]"
+    )
     column_points: int = Field(2, description="Number of points that a column needs in each epoch")
     section_columns: int = Field(6, description="Number of columns that a section of a hedge needs")
     section_length: float = Field(1.5, description="Shortest section of a hedge [m]")
@@ -159,6 +162,11 @@ class OneEpochPartsNumbers(StrictModel):
         0.2,
         description="Fraction of the voxels of a part that must lie farther from points of the other epoch "
         "than its spacing explains",
+    )
+    object_voxels: int = Field(
+        50,
+        description="Number of voxels in both epochs from which what is left of an instance is an object, "
+        "such as the garage of a house that is gone",
     )
     overhang: float = Field(
         0.25,

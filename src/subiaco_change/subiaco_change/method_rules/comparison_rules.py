@@ -305,6 +305,19 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "hidden_trunks",
+        _HERE,
+        "A tree whose trunk parked cars hide is known by a top of its own: the trimmed side of a crown has"
+        " none.",
+        ("association.parts.hidden_foot", "method_numbers.felled_crowns.top_reach"),
+    ),
+    Rule(
+        "remaining_object",
+        _HERE,
+        "What is left of an instance may be a small fraction of it if it is as large as an object.",
+        ("method_numbers.one_epoch_parts.object_voxels",),
+    ),
+    Rule(
         "felled_crowns",
         _HERE,
         "A crown in whose place the other epoch, measured from above, met the ground with more beams than"
@@ -380,10 +393,21 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("association.place_free",),
     ),
     Rule(
+        "vehicles_as_plants",
+        _HERE,
+        "What has the shape of a vehicle in one epoch is no plant in the other.",
+    ),
+    Rule(
         "hardly_overlapping",
         _HERE,
         "Objects of a match that overlap too little to be compared are decided apart.",
         ("decisions.building.min_iou", "decisions.vegetation.min_iou"),
+    ),
+    Rule(
+        "fixed_objects",
+        _HERE,
+        "What is longer or taller than what people move did not move: one was removed, and another is new.",
+        ("decisions.mobile.longest", "decisions.mobile.tallest"),
     ),
     Rule(
         "multi_body_matches",

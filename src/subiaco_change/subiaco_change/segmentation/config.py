@@ -310,6 +310,11 @@ class VehicleConfig(StrictModel):
         description="Height of the uppermost band whose width is compared with the width of the body [m]",
     )
     car_top: float = Field(2.2, gt=0, description="Largest height above ground of a car [m]")
+    car_body: float = Field(
+        1.2,
+        gt=0,
+        description="Height above ground below which the points of a car show its body, seen from above [m]",
+    )
     thinnest_car: float = Field(
         1.5, gt=0, description="Width from which a part of what looks like plants may be a car [m]"
     )

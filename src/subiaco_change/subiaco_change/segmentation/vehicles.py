@@ -21,6 +21,7 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _FEWEST = 15  # points of a vehicle
+_WIDEST_CAR, _BONNET = 2.4, 1.0
 
 
 def _no_boxes(xyz: Floats, *_: object) -> tuple[Mask, Mask]:
@@ -237,24 +238,43 @@ def with_cabins(
     """
     low = np.flatnonzero((height > config.split_band) & (height < config.car_top))
     completed = semantic.copy()
-    parts = _thick_parts(xyz[low, :2], config)
+    parts = _thick_parts(xyz[low, :2], height[low] < config.car_body, config)
     low, parts = low[parts >= 0], parts[parts >= 0]
     for group in group_indices(split_rows(xyz[low, :2], height[low], parts, config.rows)):
-        mine = low[group]
-        plant = semantic[mine] == Semantic.VEGETATION
-        if plant.mean() > config.leafy and has_cabin(xyz[mine], height[mine], config):
-            completed[mine] = Semantic.MOBILE
+        for mine in _cars_of_row(xyz, height, low[group], config):
+            plant = semantic[mine] == Semantic.VEGETATION
+            if plant.mean() > config.leafy and has_cabin(xyz[mine], height[mine], config):
+                completed[mine] = Semantic.MOBILE
     return completed
 
 
-def _thick_parts(xy: Floats, config: VehicleConfig) -> Ints:
-    """Return the number (N,) of the part of each point (N, 2); below 0 what is thinner than a car."""
+def _cars_of_row(xyz: Floats, height: Floats, members: Ints, config: VehicleConfig) -> list[Ints]:
+    """Divide what is as wide as a car and longer between two bonnets, where it is lowest."""
+    along, across = box_coordinates(xyz[members, :2]).T
+    if np.ptp(along) <= config.mobile_length or np.ptp(across) >= _WIDEST_CAR:
+        return [members]
+    slot = np.floor((along - along.min()) / config.split_gap).astype(np.int64)
+    top, shortest = np.zeros(slot.max() + 1), round(config.car_length / config.split_gap)
+    np.maximum.at(top, slot, height[members])
+    between = ndimage.uniform_filter1d(top, round(_BONNET / config.split_gap))[shortest:-shortest]
+    if len(between) == 0:
+        return [members]
+    first = slot < shortest + int(between.argmin())
+    sides = members[first], members[~first]
+    return [car for side in sides for car in _cars_of_row(xyz, height, side, config)]
+
+
+def _thick_parts(xy: Floats, body: Mask, config: VehicleConfig) -> Ints:
+    """Return the number (N,) of the part of each point (N, 2); below 0 what is thinner than a car.
+
+    The ``body`` (N,) tells what is: branches may hang over a car.
+    """
     if len(xy) == 0:
         return np.zeros(0, dtype=np.int64)
     cell = np.floor(xy / config.split_gap).astype(np.int64)
     cell -= cell.min(axis=0) - 1
     held = np.zeros(cell.max(axis=0) + 2, dtype=bool)
-    held[tuple(cell.T)] = True
+    held[tuple(cell[body].T)] = True
     half = 0.5 * config.thinnest_car / config.split_gap
     holes, count = ndimage.label(~held)
     small = np.bincount(holes.ravel(), minlength=count + 1) * config.split_gap**2 <= config.car_hole
