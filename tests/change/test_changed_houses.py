@@ -56,6 +56,17 @@ def test_a_house_that_stands_in_one_epoch_alone_is_parted_also_at_the_end_of_a_r
     assert changed(*rows[::-sign]) == [place]
 
 
+def test_the_walls_of_a_demolished_house_above_its_lower_neighbours_are_of_that_house():
+    """Its walls stand in the outermost slots, in columns in which the lower neighbours have theirs."""
+    before, after = houses((4.0, 4.0, 4.0)), houses((4.0, 0.0, 4.0))
+    before[9:21] = 7.0  # the house and one slot of its walls on either side
+    pair = roofs(before, after), roofs(after, before)
+    house = changed_houses(*pair)[1][: len(pair[0])]
+    above = pair[0].height > 6.0
+    assert len(set(house[above].tolist())) == 1
+    assert (house[above] > 0).all()
+
+
 def test_a_lower_wing_at_the_end_of_a_row_is_no_house_of_the_row():
     assert changed(houses((4.0, 4.0, 4.0, 0.0)), houses((4.0, 4.0, 4.0, 2.8))) == []
 

@@ -98,6 +98,28 @@ def test_tops_of_trees_are_not_compared():
     assert changed_sections([before], [after], 0.3)[0] == []
 
 
+@pytest.mark.parametrize(("height", "label"), [(0.8, Change.DECREASED), (2.2, Change.INCREASED)])
+def test_a_hedge_that_touches_a_tree_is_judged_apart_from_it(height, label):
+    before, after = (hedge([(0, 4, 7.0), (4, 12, top)], seed) for seed, top in ((1, 1.5), (2, height)))
+    rest, moved = decided(before, after)
+    assert (rest.decision.change, moved.decision.change) == (Change.UNCHANGED, label)
+    assert moved.plant.section == pytest.approx(height - 1.5, abs=0.05)
+    x = np.concatenate([moved.before[0].xyz[:, 0], moved.after[0].xyz[:, 0]])
+    assert x.min() > 3.4
+
+
+def test_low_branches_of_a_tree_are_no_hedge():
+    before, after = hedge([(0, 6, 7.0)], 1), hedge([(0, 6, 7.0)], 2)
+    branches = (np.add(block((6, 0, 1.5), (9, 1, top)), 0.0) for top in (2.8, 2.2))
+    pair = []
+    for whole, beside in zip((before, after), branches, strict=True):
+        cells = voxels(np.concatenate([whole.voxels.xyz, beside]))
+        fine = np.random.default_rng(3).uniform(beside.min(axis=0), beside.max(axis=0), (2000, 3))
+        xyz = np.concatenate([whole.xyz, fine])
+        pair.append(replace(whole, voxels=cells, xyz=xyz, points=np.arange(len(xyz))))
+    assert changed_sections([pair[0]], [pair[1]], 0.3)[0] == []
+
+
 @pytest.mark.parametrize("share", [0.01, 0.04, 0.15])
 @pytest.mark.parametrize("sparser", ["before", "after"])
 def test_the_end_of_a_hedge_that_few_beams_met_in_one_epoch_keeps_its_top(sparser, share):

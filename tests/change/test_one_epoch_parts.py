@@ -16,8 +16,10 @@ from subiaco_change.decisions.object_decision import (
 )
 from subiaco_change.decisions.split_merge import (
     join_building_extensions,
+    part_hardly_overlapping,
     split_multi_body_matches,
     split_row_houses,
+    unify_classes,
 )
 from subiaco_change.decisions.vehicle_parts import decide_vehicle_part
 from subiaco_change.instance_splitting.building_extensions import (
@@ -81,6 +83,28 @@ def test_an_object_that_stands_in_one_epoch_alone_is_not_parted():
     rest = obj([(block((0, 0, 0), (5, 1, 1.5)), False), (block((5, 0, 0), (5.5, 0.5, 0.5)), True)])
     for single in (whole, rest):
         assert split_one_epoch_parts([single], CONFIG) == [single]
+
+
+@pytest.mark.parametrize(
+    ("end", "top", "parts"),
+    [(8, 6.0, 2), (8, 4.0, 2), (5.5, 4.0, 1)],
+    ids=["a tree", "a lower tree", "the side of a crown"],
+)
+def test_a_crown_that_touches_another_is_a_tree_if_it_has_a_top_of_its_own(end, top, parts):
+    """Parked cars hide both trunks up to 1.5 m."""
+    standing = block((0, 0, 1.5), (4, 4, 5))
+    beside = block((4, 0, 1.5), (end, 4, top))
+    made = obj([(standing, True), (beside, False)])
+    assert len(split_one_epoch_parts([made], CONFIG)) == parts
+    with rules_switched_off(["hidden_trunks"]):
+        assert len(split_one_epoch_parts([made], CONFIG)) == 1
+
+
+@pytest.mark.parametrize(("left", "parts"), [(3.0, 2), (0.5, 1)], ids=["a garage", "a gate post"])
+def test_what_is_left_of_a_house_is_an_object_however_large_the_house_was(left, parts):
+    house, garage = walls(25, 20, 8), np.add(walls(left, left, 2.5), (25, 0, 0))
+    assert len(garage) < CONFIG.remainder * len(house)
+    assert len(split_one_epoch_parts([obj([(house, False), (garage, True)])], CONFIG)) == parts
 
 
 def test_a_bin_under_a_crown_is_an_object_of_its_own():
@@ -524,3 +548,33 @@ def test_nothing_is_claimed_of_a_scan_line_that_floats(places, beside, floats):
     if decision is not None:
         assert decision.change is Change.UNOBSERVED
         assert "nothing is claimed" in decision.reason
+
+
+def other(xyz):
+    return replace(obj([(xyz, False)]), semantic=Semantic.OTHER)
+
+
+@pytest.mark.parametrize(
+    ("size", "labels"),
+    [
+        ((8.0, 0.5, 1.5), [Change.REMOVED, Change.ADDED]),
+        ((0.5, 0.5, 6.0), [Change.REMOVED, Change.ADDED]),
+        ((2.0, 0.5, 1.0), [Change.NOT_REPORTED]),
+    ],
+    ids=["a wall beside a former fence", "a pole beside its place", "a bench"],
+)
+def test_what_people_do_not_move_was_removed_and_is_new(size, labels):
+    before, after = other(block((0, 0, 0), size)), other(np.add(block((0, 0, 0), size), (0, 1.0, 0)))
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    told = part_hardly_overlapping([decide_object((before,), (after,), Semantic.OTHER, rules)], rules)
+    assert [change.decision.change for change in told] == labels
+
+
+def test_a_vehicle_in_one_epoch_is_no_plant_in_the_other():
+    plant, vehicle = (
+        replace(obj([(block((0, 0, 0), (4, 2, 1.5)), True)]), semantic=semantic, score=score)
+        for semantic, score in ((Semantic.VEGETATION, 0.9), (Semantic.MOBILE, 0.7))
+    )
+    for pair in ([plant], [vehicle]), ([vehicle], [plant]):
+        found = unify_classes(*pair, AssociationConfig(), 0.25)
+        assert [side[0].semantic for side in found] == [Semantic.MOBILE] * 2

@@ -5,6 +5,7 @@ import pytest
 from scenes import Scene, car, ground_z
 from scipy.spatial import cKDTree
 
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.config import VehicleConfig
 from subiaco_change.segmentation.vehicles import has_cabin, with_cabins, with_edges
@@ -81,6 +82,20 @@ def test_a_large_rough_plane_is_a_wall():
     wall = np.column_stack([rng.uniform(2, 14, 20000), rng.normal(0, 0.06, 20000), rng.uniform(0, 5, 20000)])
     wall[:, 2] += ground_z(wall[:, 0], wall[:, 1])
     assert (labels_of(wall) == Semantic.BUILDING).mean() > 0.85
+
+
+def test_a_fence_that_ends_in_a_hedge_is_no_plant():
+    """Their points touch, and those of the hedge are more."""
+    rng = np.random.default_rng(9)
+    fence = np.column_stack([rng.uniform(2, 9, 4000), rng.normal(0, 0.015, 4000), rng.uniform(0, 1.7, 4000)])
+    leaves = rng.uniform((9.0, -1.0, 0.0), (16.0, 1.0, 3.0), (24000, 3))
+    for thing in (fence, leaves):
+        thing[:, 2] += ground_z(thing[:, 0], thing[:, 1])
+    of_fence = labels_of(fence, leaves)
+    assert (of_fence == Semantic.OTHER).mean() > 0.7
+    assert (labels_of(leaves, fence) == Semantic.VEGETATION).mean() > 0.9
+    with rules_switched_off(["walls_beside_plants"]):
+        assert (labels_of(fence, leaves) == Semantic.VEGETATION).mean() > 0.7
 
 
 def test_a_wall_that_a_bent_map_saw_twice_is_a_building():
@@ -170,6 +185,29 @@ def test_soft_cars_parked_bumper_to_bumper_are_cars_each():
     xyz = np.concatenate([soft_car(rng, x, 0.0) for x in (0.0, 4.9, 9.8)])
     found = cabins_among_plants(xyz)
     assert (found[xyz[:, 2] > VehicleConfig().split_band] == Semantic.MOBILE).mean() > 0.95
+
+
+def test_soft_cars_that_nearly_touch_are_cars_each_though_scattered_points_fill_their_gap():
+    rng = np.random.default_rng(8)
+    gap = rng.uniform((2.2, -0.8, 0.3), (2.5, 0.8, 0.8), (60, 3))
+    xyz = np.concatenate([soft_car(rng, 0.0, 0.0), soft_car(rng, 4.7, 0.0), gap])
+    found = cabins_among_plants(xyz)
+    assert (found[xyz[:, 2] > VehicleConfig().split_band] == Semantic.MOBILE).mean() > 0.95
+
+
+def test_a_soft_car_below_branches_is_a_car():
+    rng = np.random.default_rng(9)
+    car_, branches = soft_car(rng, 0.0, 0.0), rng.uniform((-3.0, 0.6, 1.7), (3.0, 4.0, 2.6), (3000, 3))
+    found = cabins_among_plants(np.concatenate([car_, branches]))[: len(car_)]
+    assert (found[car_[:, 2] > VehicleConfig().split_band] == Semantic.MOBILE).mean() > 0.95
+
+
+def test_an_uneven_hedge_as_wide_as_a_car_is_no_row_of_cars():
+    rng = np.random.default_rng(10)
+    xy = rng.uniform((0.0, -0.9), (12.0, 0.9), (6000, 2))
+    top = 1.5 + 0.15 * np.sin(xy[:, 0])
+    hedge_ = np.column_stack([xy, rng.uniform(0.25, 1.0, len(xy)) * top])
+    assert (cabins_among_plants(hedge_) == Semantic.VEGETATION).all()
 
 
 def test_what_a_car_left_that_moved_has_no_cabin():

@@ -119,7 +119,8 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     for stretch in found:
         inside = _within(place, stretch.begin, stretch.end)
         own = alone | inside if stretch.only is None else alone & (epoch == stretch.only)
-        house[own & _within(place, stretch.begin - _PARTY_WALL, stretch.end + _PARTY_WALL) & (house == 0)] = house.max() + 1
+        walls = _within(place, stretch.begin - _PARTY_WALL, stretch.end + _PARTY_WALL)
+        house[own & walls & (house == 0)] = house.max() + 1
     cuts = np.unique([cut for stretch in found for cut in (stretch.begin, stretch.end)])
     stretches = np.searchsorted(cuts, place, side="right")
     return stretches, house

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import PartConfig
@@ -219,9 +220,19 @@ def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
         source = np.flatnonzero(known & ((labels > 0) | (not most)))
         nearest = cKDTree(obj.voxels.xyz[source]).query(obj.voxels.xyz[~known])[1]
         labels[~known] = labels[source][nearest]
-    left = np.count_nonzero(obj.voxels.occupied_in_other & (labels == 0))
-    large = applies("remaining_object", left >= _OBJECT)
-    return large_parts(labels, obj, config.points, 0.0 if large else config.remainder * len(obj.xyz))
+    least = 0.0 if _leaves_object(obj.voxels, labels) else config.remainder * len(obj.xyz)
+    return large_parts(labels, obj, config.points, least)
+
+
+@switchable("remaining_object", never)
+def _leaves_object(voxels: Voxels, labels: Ints) -> bool:
+    """Tell whether what is left of an instance is an object: a garage beside a house that is gone.
+
+    What is left of the walls of a former building within the outline of a new one is none.
+    """
+    rest, places = (labels == 0) & voxels.occupied_in_other, voxels.xyz[:, :2]
+    outline = shapely.MultiPoint(places[labels > 0]).convex_hull.buffer(_CELL)
+    return bool(np.count_nonzero(~shapely.contains_xy(outline, *places[rest].T)) >= _OBJECT)
 
 
 def large_parts(labels: Ints, obj: ObjectInstance, least: int, least_left: float) -> Ints:

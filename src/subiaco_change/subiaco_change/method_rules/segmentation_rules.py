@@ -278,6 +278,12 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "walls_beside_plants",
+        _HERE,
+        "A smooth upright plane that ends below a facade is a wall or a fence, also among plants.",
+        ("semantics.buildings.part_area", "semantics.buildings.facade_slope"),
+    ),
+    Rule(
         "tiny_clusters",
         _HERE,
         "A low and narrow cluster is class other, because its features resemble foliage at any shape.",

@@ -21,12 +21,14 @@ class BuildingPlanes:
     """Planes of points (N,).
 
     ``core`` tells facades and roofs, ``part`` (int, or -1) numbers smaller planes like them,
-    ``fronds`` tells high planes that are rough and made of lines: crowns of palms.
+    ``fronds`` tells high planes that are rough and made of lines: crowns of palms. ``low`` tells upright
+    planes that end below a facade: fences, garden walls, and sides of vehicles.
     """
 
     core: Mask
     part: Ints
     fronds: Mask
+    low: Mask
 
 
 def building_planes(
@@ -39,7 +41,7 @@ def building_planes(
         xyz, features, candidate, config.plane_angle_deg, config.plane_offset, config.plane_cell
     )
     high = _up_to_eaves(xyz, height, features, candidate, free, config)
-    building, fronds = _kinds(patches, features, height, high, config)
+    building, fronds, low = _kinds(patches, features, height, high, config)
     area = np.where(building, patches.area, 0.0)
     mine = (patches.label >= 0) & (high | (np.abs(features.normals[:, 2]) >= config.facade_slope))
     own = np.append(area, 0.0)[patches.label]
@@ -48,6 +50,7 @@ def building_planes(
         mine & (own > config.plane_area),
         np.where(part, patches.label, -1),
         np.append(fronds, False)[patches.label],
+        np.append(low, False)[patches.label],
     )
 
 
@@ -124,8 +127,8 @@ def _up_to_eaves(
 
 def _kinds(
     patches: Patches, features: Features, height: Floats, high: Mask, config: BuildingConfig
-) -> tuple[Mask, Mask]:
-    """Tell which smooth patches (hips and gables chain into one) are facades or roofs, and which fronds."""
+) -> tuple[Mask, Mask, Mask]:
+    """Tell which smooth patches (hips and gables chain into one) are facades or roofs, fronds, low walls."""
     inside = patches.label >= 0
     own = patches.label[inside]
 
@@ -147,7 +150,9 @@ def _kinds(
     leafy = rule_mask("leafy_patches", leafy & (patches.area < config.leafy_area))
     fronds |= rule_mask("leafy_slopes", ~upright & rough & (patches.residual > config.leafy_bend))
     building = (facade | roof) & ~fronds & ~leafy & ~wires
-    return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))
+    large = patches.area > config.part_area
+    low = upright & ~facade & ~leafy & ~wires
+    return np.asarray(building), np.asarray(fronds & large), np.asarray(low & large)
 
 
 def within_roofs(

@@ -249,7 +249,9 @@ def _classify(
     upright = (np.abs(features.normals[:, 2]) < config.buildings.facade_slope) & (
         features.roughness < config.buildings.plane_offset
     )
-    semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], upright[rest], config)
+    semantic[rest] = _split_rest(
+        xyz[rest], height[rest], foliage[rest], upright[rest], planes.low[rest], config
+    )
     level = np.abs(features.normals[:, 2]) > config.level
     semantic = release_false_vehicles(xyz, height, foliage, semantic, moving, level, config.vehicles)
     semantic = with_edges(xyz, height, semantic, moving, config.vehicles)
@@ -306,9 +308,12 @@ def _is_sparse(reach: Floats, config: SemanticsConfig) -> Mask:
 
 
 def _split_rest(
-    xyz: Floats, height: Floats, foliage: Mask, upright: Mask, config: SemanticsConfig
+    xyz: Floats, height: Floats, foliage: Mask, upright: Mask, wall: Mask, config: SemanticsConfig
 ) -> NDArray[np.uint8]:
-    """Label what is neither ground nor building: foliage, vehicles, trunks, poles."""
+    """Label what is neither ground nor building: foliage, vehicles, trunks, poles.
+
+    ``wall`` (N,): upright planes that end below a facade.
+    """
     semantic = np.where(foliage, Semantic.VEGETATION, Semantic.OTHER).astype(np.uint8)
     settled = np.zeros(len(xyz), dtype=bool)
     low = np.flatnonzero(height < config.vehicles.mobile_top)
@@ -317,6 +322,8 @@ def _split_rest(
             semantic[mine] = kind
             settled[mine] = True
     semantic[~settled] = _vote_clusters(xyz[~settled], height[~settled], semantic[~settled], config)
+    walls = rule_mask("walls_beside_plants", wall & ~foliage & ~settled)
+    semantic[walls] = Semantic.OTHER  # however many plants grow beside them
     return with_cabins(xyz, height, semantic, config.vehicles)
 
 

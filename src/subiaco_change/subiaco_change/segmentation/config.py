@@ -257,6 +257,10 @@ class VehicleConfig(StrictModel):
         5.5, gt=0, description="Longest length of a vehicle that is no truck [m] (paper: 5 m)"
     )
     car_length: float = Field(3.2, gt=0, description="Smallest length of a car [m]")
+    car_width: float = Field(2.4, gt=0, description="Largest width of a car [m]")
+    bonnet: float = Field(
+        1.0, gt=0, description="Length of the low stretch between the cabins of two cars in a row [m]"
+    )
     mobile_height: float = Field(
         3.0, gt=0, description="Largest height above ground of a vehicle that is no truck [m] (paper)"
     )

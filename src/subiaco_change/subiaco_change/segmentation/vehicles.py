@@ -21,7 +21,6 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _FEWEST = 15  # points of a vehicle
-_WIDEST_CAR, _BONNET = 2.4, 1.0
 
 
 def _no_boxes(xyz: Floats, *_: object) -> tuple[Mask, Mask]:
@@ -251,12 +250,12 @@ def with_cabins(
 def _cars_of_row(xyz: Floats, height: Floats, members: Ints, config: VehicleConfig) -> list[Ints]:
     """Divide what is as wide as a car and longer between two bonnets, where it is lowest."""
     along, across = box_coordinates(xyz[members, :2]).T
-    if np.ptp(along) <= config.mobile_length or np.ptp(across) >= _WIDEST_CAR:
+    if np.ptp(along) <= config.mobile_length or np.ptp(across) >= config.car_width:
         return [members]
     slot = np.floor((along - along.min()) / config.split_gap).astype(np.int64)
     top, shortest = np.zeros(slot.max() + 1), round(config.car_length / config.split_gap)
     np.maximum.at(top, slot, height[members])
-    between = ndimage.uniform_filter1d(top, round(_BONNET / config.split_gap))[shortest:-shortest]
+    between = ndimage.uniform_filter1d(top, round(config.bonnet / config.split_gap))[shortest:-shortest]
     if len(between) == 0:
         return [members]
     first = slot < shortest + int(between.argmin())
@@ -413,5 +412,7 @@ def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bo
 def _is_car_sized(length: float, width: float, top: float, config: VehicleConfig) -> bool:
     """Tell what is as long, as wide and as high as a car [m]."""
     return bool(
-        config.car_length < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < config.car_top
+        config.car_length < length < config.mobile_length
+        and 1.4 < width < config.car_width
+        and 1.2 < top < config.car_top
     )
