@@ -347,3 +347,27 @@ def test_a_storey_on_a_house_with_walls_on_all_sides_has_its_volume():
     found = carve(before, after, CONFIG)
     assert found.gained.low == pytest.approx(LENGTH * DEPTH * TALL, rel=0.2)
     assert found.height.low > 0.8 * TALL
+
+
+def test_a_front_that_rose_tells_the_height_though_ceilings_under_unknown_roofs_were_seen():
+    """Through its windows the street sees a ceiling; above it nothing is known of either survey."""
+    low = sheet((0, 0, 0), (LENGTH, CELL, TALL)), sheet((CELL, CELL, 2.5), (LENGTH - CELL, DEPTH, 3.0))
+    storey = sheet((0, 0, TALL), (LENGTH, CELL, 2 * TALL))
+    over = [((-9, -9, tall), (30, 1.5 * CELL, HIGH)) for tall in (TALL, 2 * TALL)]  # beams along the front
+    before, after = (epoch(low, inside(OUT["street"], sky)) for sky in over)
+    sides = before, replace(after, voxels=after.voxels.add(voxels(storey, occupied_in_other=False)))
+    raised = carve(*sides, CONFIG).height
+    lowered = carve(*sides[::-1], CONFIG).height
+    assert (raised.low, raised.high) == pytest.approx((TALL, TALL), abs=0.3)
+    assert (lowered.low, lowered.high) == pytest.approx((-raised.high, -raised.low))
+    with rules_switched_off(["known_tops"]):
+        assert carve(*sides, CONFIG).height.low < 0.3
+
+
+def test_a_porch_whose_top_is_known_says_nothing_of_the_house_behind_it():
+    porch = sheet((0, -2, 0), (LENGTH, -1.5, 2.5))
+    walls = house()
+    over = ((-9, -9, 2.5), (30, -1.5, HIGH))
+    before = epoch([porch, *walls], inside(OUT["street"], over))
+    after = epoch([porch, *house(2 * TALL)], inside(OUT["street"], over))
+    assert carve(before, after, CONFIG).height.high > 2.0

@@ -636,6 +636,12 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("measures.carving.capped", "method_numbers.space_carving.fewest_columns"),
     ),
     Rule(
+        "known_tops",
+        _HERE,
+        "The height rests on the columns whose tops both epochs know, where these are the highest ones.",
+        ("measures.carving.known_top", "measures.carving.known_columns"),
+    ),
+    Rule(
         "roof_gap",
         _HERE,
         "The highest seen surface is the top of a column where free space begins soon above it.",

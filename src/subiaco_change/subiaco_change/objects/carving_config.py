@@ -42,6 +42,19 @@ class CarvingConfig(StrictModel):
         description="Fraction of columns with free space above their top from which the height rests on "
         "these columns alone; raise it for wider height bounds",
     )
+    known_top: float = Field(
+        1.0,
+        ge=0,
+        description="Largest distance between the bounds of the top of a column up to which the top is "
+        "known [m]",
+    )
+    known_columns: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="Fraction of columns with known tops from which the height rests on these columns "
+        "alone, if they are the highest ones",
+    )
     roof_gap: float = Field(
         1.25,
         ge=0,
