@@ -349,19 +349,32 @@ def test_a_storey_on_a_house_with_walls_on_all_sides_has_its_volume():
     assert found.height.low > 0.8 * TALL
 
 
-def test_a_front_that_rose_tells_the_height_though_ceilings_under_unknown_roofs_were_seen():
-    """Through its windows the street sees a ceiling; above it nothing is known of either survey."""
-    low = sheet((0, 0, 0), (LENGTH, CELL, TALL)), sheet((CELL, CELL, 2.5), (LENGTH - CELL, DEPTH, 3.0))
-    storey = sheet((0, 0, TALL), (LENGTH, CELL, 2 * TALL))
-    over = [((-9, -9, tall), (30, 1.5 * CELL, HIGH)) for tall in (TALL, 2 * TALL)]  # beams along the front
-    before, after = (epoch(low, inside(OUT["street"], sky)) for sky in over)
-    sides = before, replace(after, voxels=after.voxels.add(voxels(storey, occupied_in_other=False)))
-    raised = carve(*sides, CONFIG).height
-    lowered = carve(*sides[::-1], CONFIG).height
-    assert (raised.low, raised.high) == pytest.approx((TALL, TALL), abs=0.3)
+def raised_house(deep):
+    """Change of height of a house that rose by 3 m, of which the street sees the roof up to a depth [m].
+
+    Through its windows it sees ceilings; above them nothing is known of either survey.
+    """
+    ceiling = sheet((CELL, deep, 2.5), (LENGTH - CELL, DEPTH, 3.0))
+    sides = []
+    for tall in (TALL, 2 * TALL):
+        roof = sheet((0, 0, tall - CELL), (LENGTH, deep, tall))
+        sky = inside(OUT["street"], ((-9, -9, tall), (30, deep + 0.5 * CELL, HIGH)))
+        made = epoch([ceiling], sky)
+        sides.append(replace(made, voxels=made.voxels.add(voxels(roof, occupied_in_other=False))))
+    raised, lowered = (carve(*pair, CONFIG).height for pair in (sides, sides[::-1]))
     assert (lowered.low, lowered.high) == pytest.approx((-raised.high, -raised.low))
+    return raised
+
+
+def test_a_part_of_the_roof_tells_how_far_a_house_rose_though_ceilings_were_seen_behind():
+    found = raised_house(deep=3 * CELL)
+    assert (found.low, found.high) == pytest.approx((TALL, TALL), abs=0.3)
     with rules_switched_off(["known_tops"]):
-        assert carve(*sides, CONFIG).height.low < 0.3
+        assert raised_house(deep=3 * CELL).low < 0.3
+
+
+def test_the_edge_of_a_roof_alone_does_not_tell_how_far_a_house_rose():
+    assert raised_house(deep=CELL).low < 0.3
 
 
 def test_a_porch_whose_top_is_known_says_nothing_of_the_house_behind_it():

@@ -164,7 +164,7 @@ def _free_columns(
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
     voxels = obj.voxels
     lowest, top = voxels.height[piece].min(), np.quantile(voxels.height[piece], 0.9)
-    if (lowest > config.foot and not _is_felled(obj, piece, config)) or top < config.top:
+    if (lowest > config.foot and not _is_tree(obj, piece, config)) or top < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
@@ -173,7 +173,7 @@ def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config:
 
 
 @switchable("hidden_trunks", never)
-def _is_felled(obj: ObjectInstance, piece: Ints, config: PartConfig) -> bool:
+def _is_tree(obj: ObjectInstance, piece: Ints, config: PartConfig) -> bool:
     """Tell a tree from the side of a crown, where parked cars hide the trunk: a tree has a top of its own."""
     if obj.semantic is not Semantic.VEGETATION or obj.voxels.height[piece].min() > config.hidden_foot:
         return False

@@ -639,7 +639,7 @@ BUILDING_RULES: tuple[Rule, ...] = (
         "known_tops",
         _HERE,
         "The height rests on the columns whose tops both epochs know, where these are the highest ones.",
-        ("measures.carving.known_top", "measures.carving.known_columns"),
+        ("measures.carving.known_top", "measures.carving.known_area"),
     ),
     Rule(
         "roof_gap",

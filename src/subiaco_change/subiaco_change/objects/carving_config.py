@@ -48,12 +48,11 @@ class CarvingConfig(StrictModel):
         description="Largest distance between the bounds of the top of a column up to which the top is "
         "known [m]",
     )
-    known_columns: float = Field(
-        0.05,
-        ge=0,
-        le=1,
-        description="Fraction of columns with known tops from which the height rests on these columns "
-        "alone, if they are the highest ones",
+    known_area: float = Field(
+        12.0,
+        gt=0,
+        description="Area of the columns with known tops, that of a room, from which the height rests on "
+        "these columns alone, if they are the highest ones [m2]",
     )
     roof_gap: float = Field(
         1.25,

@@ -495,7 +495,7 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     many = np.count_nonzero(capped) >= max(_FEW, config.capped * np.count_nonzero(columns))
     if applies("capped_columns", many):
         columns = capped
-    columns = _tightly_known(columns, bounds, config)
+    columns = _tightly_known(columns, bounds, frame, config)
     tops = []
     for low, high in bounds:
         if not (low[columns] > 0).any():
@@ -512,18 +512,19 @@ def _columns_as_they_are(columns: Mask, *_: object) -> Mask:
 
 
 @switchable("known_tops", _columns_as_they_are)
-def _tightly_known(columns: Mask, bounds: Sequence[tuple[Floats, Floats]], config: CarvingConfig) -> Mask:
+def _tightly_known(
+    columns: Mask, bounds: Sequence[tuple[Floats, Floats]], frame: _Frame, config: CarvingConfig
+) -> Mask:
     """Columns (nx, ny) whose tops both epochs know, if they are the highest ones in both.
 
     Of a house that was raised, the street shows the front up to its top. Through its windows ceilings were
     seen, under roofs of which nothing is known.
     """
     known = columns & np.logical_and(*(high - low <= config.known_top for low, high in bounds))
-    if np.count_nonzero(known) < max(_FEW, config.known_columns * np.count_nonzero(columns)):
+    if np.count_nonzero(known) * frame.cell**2 < config.known_area:
         return columns
     highest = [
-        np.quantile(low[known], 0.95) >= np.quantile(low[columns], 0.95) - 0.5 * config.cell
-        for low, _ in bounds
+        np.quantile(low[known], 0.95) >= np.quantile(low[columns], 0.95) - frame.rise for low, _ in bounds
     ]
     return known if all(highest) else columns
 
