@@ -110,7 +110,7 @@ def test_a_hedge_that_touches_a_tree_is_judged_apart_from_it(height, label):
 
 def test_low_branches_of_a_tree_are_no_hedge():
     before, after = hedge([(0, 6, 7.0)], 1), hedge([(0, 6, 7.0)], 2)
-    branches = (np.add(block((6, 0, 1.5), (9, 1, top)), 0.0) for top in (2.8, 2.2))
+    branches = (block((6, 0, 1.5), (9, 1, top)) for top in (2.8, 2.2))
     pair = []
     for whole, beside in zip((before, after), branches, strict=True):
         cells = voxels(np.concatenate([whole.voxels.xyz, beside]))

@@ -26,6 +26,13 @@ def in_box_around(points: Floats, places: Floats, reach: float) -> NDArray[np.bo
     return within_box(points, low - reach, high + reach)
 
 
+def in_outline_of(points: Floats, places: Floats, margin: float = 0.0) -> NDArray[np.bool_]:
+    """Tell which places (M, 2) lie in the convex outline of points (N, 2), wider by a margin [m]."""
+    outline = shapely.MultiPoint(points).convex_hull
+    outline = outline.buffer(margin) if margin else outline
+    return np.asarray(shapely.contains_xy(outline, places[:, 0], places[:, 1]))
+
+
 def outline_of_cells(cells: Ints, corner: Floats, edge: float) -> BaseGeometry:
     """Return the outline [m] of square cells (N, 2), counted east and north from a corner (2,) [m].
 

@@ -30,8 +30,8 @@ class PartConfig(StrictModel):
     hidden_foot: float = Field(
         2.0,
         gt=0,
-        description="Height above ground up to which parked cars and hedges hide the trunk of a tree that "
-        "changed on its own [m]",
+        description="Height above ground below which a tree with a top of its own must begin to be split off "
+        "[m]; parked cars and hedges hide trunks up to this height",
     )
     top: float = Field(
         0.6,

@@ -113,14 +113,12 @@ class MovableLimits(StrictModel):
     longest: float = Field(
         4.0,
         gt=0,
-        description="Length of the longest thing of no other class that is moved, not built; a longer one is "
-        "a fence or a wall [m]",
+        description="Length above which an object of class other is not movable, but a fence or a wall [m]",
     )
     tallest: float = Field(
         2.5,
         gt=0,
-        description="Height of the tallest thing of no other class that is moved, not built; a taller one is "
-        "a pole or a sign [m]",
+        description="Height above which an object of class other is not movable, but a pole or a sign [m]",
     )
 
 

@@ -135,21 +135,20 @@ def _extended(
 
 def _is_apart(change: ObjectChange, rules: ObjectRules) -> bool:
     """Tell whether both epochs have an object, and too little of it in common to be compared."""
-    if not (change.before and change.after):
-        return False
-    decisions = rules.decisions
+    decisions, sides = rules.decisions, (change.before, change.after)
     least = {
         Semantic.BUILDING: decisions.building.min_iou,
         Semantic.VEGETATION: decisions.vegetation.min_iou,
+        Semantic.OTHER: decisions.mobile.same_iou,
     }
-    if change.semantic is Semantic.OTHER and all(_is_fixed(p, rules) for p in (change.before, change.after)):
-        least[Semantic.OTHER] = decisions.mobile.same_iou
-    return change.measures.iou <= least.get(change.semantic, -1.0)
+    if not (all(sides) and change.measures.iou <= least.get(change.semantic, -1.0)):
+        return False
+    return change.semantic is not Semantic.OTHER or all(_is_fixed(parts, rules) for parts in sides)
 
 
 @switchable("fixed_objects", never)
 def _is_fixed(parts: Sequence[ObjectInstance], rules: ObjectRules) -> bool:
-    """Tell a fence, a wall or a pole from what people move: it is longer or taller."""
+    """Tell whether an object is longer or taller than movable objects: a fence, a wall or a pole."""
     voxels, limits = join_voxels(parts), rules.decisions.mobile
     length = float(np.linalg.norm(np.ptp(voxels.xyz[:, :2], axis=0)))
     return length > limits.longest or float(voxels.height.max()) > limits.tallest
@@ -426,7 +425,8 @@ def unify_classes(
 ) -> tuple[list[ObjectInstance], list[ObjectInstance]]:
     """Give one object one class (C6): where two objects mostly coincide, the better score wins.
 
-    A vehicle that its shape showed in one epoch is no plant in the other: half hidden, it is as rough as one.
+    An object with the shape of a vehicle in one epoch is no plant in the other: a vehicle that is half hidden
+    is as rough as a plant.
     """
     if not before or not after:
         return before, after

@@ -11,7 +11,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import PartConfig
-from subiaco_change.geometry import in_box_around
+from subiaco_change.geometry import in_box_around, in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
@@ -199,8 +199,7 @@ def rectangularity(normal: Floats) -> float:
 
 def _inside(host: Floats, extension: Floats) -> float:
     """Share of the places of a host (N, 3) that lie well inside the outline of an extension (M, 3)."""
-    outline = shapely.MultiPoint(extension[:, :2]).convex_hull.buffer(-_PARTY)
-    return float(shapely.contains_xy(outline, host[:, 0], host[:, 1]).mean()) if len(host) else 0.0
+    return float(in_outline_of(extension[:, :2], host[:, :2], -_PARTY).mean()) if len(host) else 0.0
 
 
 @switchable("crown_beside_building", never)
@@ -219,8 +218,7 @@ def _is_taller(extension: Voxels, host: Voxels) -> bool:
 
 def _share_above(extension: Voxels, host: Voxels) -> float:
     """Share of an extension above or within the outline of its host."""
-    outline = shapely.MultiPoint(host.xyz[:, :2]).convex_hull
-    return float(shapely.contains_xy(outline, extension.xyz[:, 0], extension.xyz[:, 1]).mean())
+    return float(in_outline_of(host.xyz[:, :2], extension.xyz[:, :2]).mean())
 
 
 def gaps_to_host(extension: Floats, host: Floats, touch: float) -> Floats:

@@ -27,7 +27,7 @@ _COLUMN = NUMBERS.rows_of_houses.cell
 _FRONT = NUMBERS.rows_of_houses.house_front
 _WIDTH = round(_FRONT / _COLUMN)
 _SMOOTHED = 2 * (_WIDTH // 2) - 1  # slots of a median filter: half of a house stays
-_PARTY_WALL = 2  # slots beside a house in which its walls lie
+_WALLS = round(NUMBERS.changed_houses.wall_reach / _COLUMN)
 _ROOM = NUMBERS.changed_houses.room_height
 _FOOT = NUMBERS.changed_houses.foot_height
 _CHANGED = NUMBERS.changed_houses.changed_share
@@ -119,7 +119,7 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     for stretch in found:
         inside = _within(place, stretch.begin, stretch.end)
         own = alone | inside if stretch.only is None else alone & (epoch == stretch.only)
-        walls = _within(place, stretch.begin - _PARTY_WALL, stretch.end + _PARTY_WALL)
+        walls = _within(place, stretch.begin - _WALLS, stretch.end + _WALLS)
         house[own & walls & (house == 0)] = house.max() + 1
     cuts = np.unique([cut for stretch in found for cut in (stretch.begin, stretch.end)])
     stretches = np.searchsorted(cuts, place, side="right")

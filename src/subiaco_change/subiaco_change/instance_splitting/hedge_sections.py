@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, switchable
+from subiaco_change.objects.column_volumes import tops_of_columns
 from subiaco_change.objects.known_space import ALL_FREE, Free, KnownSpaces
 from subiaco_change.objects.plant_tops import TopConfig, open_above
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
@@ -78,17 +79,16 @@ def changed_sections(
 def _low_columns(sides: Sequence[Voxels], corner: Ints, shape: tuple[int, int]) -> Mask:
     """Tell which columns of a plant are of a hedge in both epochs, where others are of a crown.
 
-    A hedge begins at the ground and ends below what is seen from beneath.
+    A hedge begins at the ground, and its top is low enough to be seen from above.
     """
     found = np.ones(shape, dtype=bool)
     if np.quantile(np.concatenate([v.height for v in sides]), 0.98) <= _LOW:
         return found
     for voxels in sides:
-        place = tuple((np.floor(voxels.xyz[:, :2] / _CELL).astype(np.int64) - corner).T)
-        top, foot = np.full(shape, -np.inf), np.full(shape, np.inf)
-        np.maximum.at(top, place, voxels.height)
-        np.minimum.at(foot, place, voxels.height)
-        found &= (top <= _LOW) & (foot <= _FOOT)
+        slots = np.floor(voxels.xyz[:, :2] / _CELL).astype(np.int64) - corner
+        rooted = np.zeros(shape, dtype=bool)
+        rooted[tuple(slots[voxels.height <= _FOOT].T)] = True
+        found &= rooted & (tops_of_columns(slots, voxels.height, shape) <= _LOW)
     return found
 
 

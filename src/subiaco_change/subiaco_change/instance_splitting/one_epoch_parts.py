@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import shapely
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import PartConfig
+from subiaco_change.geometry import in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
 from subiaco_change.objects.column_volumes import column_keys
@@ -163,8 +163,10 @@ def _free_columns(
 
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
     voxels = obj.voxels
-    lowest, top = voxels.height[piece].min(), np.quantile(voxels.height[piece], 0.9)
-    if (lowest > config.foot and not _is_tree(obj, piece, config)) or top < config.top:
+    lowest = voxels.height[piece].min()
+    if lowest > config.foot and not (lowest <= config.hidden_foot and _is_tree(obj, piece)):
+        return False
+    if np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
@@ -173,9 +175,9 @@ def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config:
 
 
 @switchable("hidden_trunks", never)
-def _is_tree(obj: ObjectInstance, piece: Ints, config: PartConfig) -> bool:
-    """Tell a tree from the side of a crown, where parked cars hide the trunk: a tree has a top of its own."""
-    if obj.semantic is not Semantic.VEGETATION or obj.voxels.height[piece].min() > config.hidden_foot:
+def _is_tree(obj: ObjectInstance, piece: Ints) -> bool:
+    """Tell a tree from the trimmed side of a crown: a tree has a top of its own."""
+    if obj.semantic is not Semantic.VEGETATION:
         return False
     return has_top(obj.voxels.xyz, piece, np.arange(len(obj.voxels)), _TOP)
 
@@ -226,13 +228,12 @@ def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
 
 @switchable("remaining_object", never)
 def _leaves_object(voxels: Voxels, labels: Ints) -> bool:
-    """Tell whether what is left of an instance is an object: a garage beside a house that is gone.
+    """Tell whether the remainder of an instance is an object: the garage beside a demolished house.
 
-    What is left of the walls of a former building within the outline of a new one is none.
+    Remains of walls within the outline of a new building are no object.
     """
     rest, places = (labels == 0) & voxels.occupied_in_other, voxels.xyz[:, :2]
-    outline = shapely.MultiPoint(places[labels > 0]).convex_hull.buffer(_CELL)
-    return bool(np.count_nonzero(~shapely.contains_xy(outline, *places[rest].T)) >= _OBJECT)
+    return bool(np.count_nonzero(~in_outline_of(places[labels > 0], places[rest], _CELL)) >= _OBJECT)
 
 
 def large_parts(labels: Ints, obj: ObjectInstance, least: int, least_left: float) -> Ints:

@@ -63,6 +63,9 @@ class ChangedHousesNumbers(StrictModel):
         4.5,
         description="Smallest width of a house at the end of a row; what is narrower may be an extension [m]",
     )
+    wall_reach: float = Field(
+        1.0, description="Distance beside a changed house of a row within which its walls lie [m]"
+    )
     same_top: float = Field(0.75, description="Largest height difference of houses of one height [m]")
     neighbour_share: float = Field(
         0.8,
@@ -84,7 +87,7 @@ class CostsNumbers(StrictModel):
 
 
 class FelledCrownsNumbers(StrictModel):
-    """Numbers of ``instance_splitting/felled_crowns.py``."""
+    """Numbers of ``instance_splitting/felled_crowns.py``; ``top_reach`` also of ``one_epoch_parts.py``."""
 
     tall: float = Field(2.0, description="Height above ground above which a plant is a crown [m]")
     cleared: float = Field(
@@ -133,7 +136,7 @@ class HedgeSectionsNumbers(StrictModel):
         description="Height of a plant above which its tops are observed from below and not compared [m]",
     )
     foot: float = Field(
-        1.0, description="Height up to which a hedge that stands beside a tree must begin in a column [m]"
+        1.0, description="Height above ground below which each column of a hedge beside a tree begins [m]"
     )
     column_points: int = Field(2, description="Number of points that a column needs in each epoch")
     section_columns: int = Field(6, description="Number of columns that a section of a hedge needs")
@@ -165,8 +168,8 @@ class OneEpochPartsNumbers(StrictModel):
     )
     object_voxels: int = Field(
         50,
-        description="Number of voxels in both epochs from which what is left of an instance is an object, "
-        "such as the garage of a house that is gone",
+        description="Number of voxels that both epochs have from which the remainder of an instance is an "
+        "object, for example the garage of a demolished house",
     )
     overhang: float = Field(
         0.25,

@@ -314,7 +314,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "remaining_object",
         _HERE,
-        "What is left of an instance may be a small fraction of it if it is as large as an object.",
+        "The remainder of an instance may be a small fraction of the instance if the remainder is as large as"
+        " an object.",
         ("method_numbers.one_epoch_parts.object_voxels",),
     ),
     Rule(
@@ -395,7 +396,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "vehicles_as_plants",
         _HERE,
-        "What has the shape of a vehicle in one epoch is no plant in the other.",
+        "An object with the shape of a vehicle in one epoch is no plant in the other.",
     ),
     Rule(
         "hardly_overlapping",
@@ -406,7 +407,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "fixed_objects",
         _HERE,
-        "What is longer or taller than what people move did not move: one was removed, and another is new.",
+        "An object of class other that is longer or taller than movable objects was not moved: one was"
+        " removed, and another is new.",
         ("decisions.mobile.longest", "decisions.mobile.tallest"),
     ),
     Rule(
@@ -436,6 +438,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.changed_houses.garage_height",
             "method_numbers.changed_houses.houses_of_row",
             "method_numbers.changed_houses.end_front",
+            "method_numbers.changed_houses.wall_reach",
             "method_numbers.changed_houses.same_top",
             "method_numbers.changed_houses.neighbour_share",
         ),

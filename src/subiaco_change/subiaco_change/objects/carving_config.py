@@ -51,8 +51,8 @@ class CarvingConfig(StrictModel):
     known_area: float = Field(
         12.0,
         gt=0,
-        description="Area of the columns with known tops, that of a room, from which the height rests on "
-        "these columns alone, if they are the highest ones [m2]",
+        description="Area of the columns with known tops from which the height rests on these columns alone, "
+        "if they are the highest ones [m2]; about the area of a room",
     )
     roof_gap: float = Field(
         1.25,

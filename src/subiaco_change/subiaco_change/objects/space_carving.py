@@ -506,19 +506,14 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     return Interval(low_a - high_b, high_a - low_b).widened(0.5 * frame.rise)
 
 
-def _columns_as_they_are(columns: Mask, *_: object) -> Mask:
-    """Return the columns as they are."""
-    return columns
-
-
-@switchable("known_tops", _columns_as_they_are)
+@switchable("known_tops", first_argument)
 def _tightly_known(
     columns: Mask, bounds: Sequence[tuple[Floats, Floats]], frame: _Frame, config: CarvingConfig
 ) -> Mask:
-    """Columns (nx, ny) whose tops both epochs know, if they are the highest ones in both.
+    """Return the columns (nx, ny) whose tops both epochs know, if they are the highest ones in both.
 
-    Of a house that was raised, the street shows the front up to its top. Through its windows ceilings were
-    seen, under roofs of which nothing is known.
+    The street shows the front of a raised house and some of its roof. Behind them, ceilings were seen through
+    windows, below space of which nothing is known.
     """
     known = columns & np.logical_and(*(high - low <= config.known_top for low, high in bounds))
     if np.count_nonzero(known) * frame.cell**2 < config.known_area:

@@ -128,7 +128,10 @@ def _up_to_eaves(
 def _kinds(
     patches: Patches, features: Features, height: Floats, high: Mask, config: BuildingConfig
 ) -> tuple[Mask, Mask, Mask]:
-    """Tell which smooth patches (hips and gables chain into one) are facades or roofs, fronds, low walls."""
+    """Tell which smooth patches are facades or roofs, which fronds, and which low walls.
+
+    Hips and gables chain into one patch.
+    """
     inside = patches.label >= 0
     own = patches.label[inside]
 

@@ -232,29 +232,29 @@ def with_cabins(
 
     Beams pass through windows and meet seats: sampled sparsely, a car is as rough as a shrub. But a car
     fills the rectangle around it, and its roof is much smaller than its body. A hedge is as wide at its top,
-    and a shrub that narrows upwards is round. Objects that touch a car, such as a fence, a narrow hedge or
-    the ghost trail of a pedestrian, are thinner than the car and are left out.
+    and a shrub that narrows upwards is round. A fence, a narrow hedge or the ghost trail of a pedestrian that
+    touches a car is thinner than the car, and is left out.
     """
     low = np.flatnonzero((height > config.split_band) & (height < config.car_top))
-    completed = semantic.copy()
+    completed, plant = semantic.copy(), semantic == Semantic.VEGETATION
     parts = _thick_parts(xyz[low, :2], height[low] < config.car_body, config)
     low, parts = low[parts >= 0], parts[parts >= 0]
     for group in group_indices(split_rows(xyz[low, :2], height[low], parts, config.rows)):
-        for mine in _cars_of_row(xyz, height, low[group], config):
-            plant = semantic[mine] == Semantic.VEGETATION
-            if plant.mean() > config.leafy and has_cabin(xyz[mine], height[mine], config):
+        cars = _cars_of_row(xyz, height, low[group], config) if plant[low[group]].any() else []
+        for mine in cars:
+            if plant[mine].mean() > config.leafy and has_cabin(xyz[mine], height[mine], config):
                 completed[mine] = Semantic.MOBILE
     return completed
 
 
 def _cars_of_row(xyz: Floats, height: Floats, members: Ints, config: VehicleConfig) -> list[Ints]:
-    """Divide what is as wide as a car and longer between two bonnets, where it is lowest."""
+    """Divide a group that is as wide as one car and longer into cars, where it is lowest: between bonnets."""
     along, across = box_coordinates(xyz[members, :2]).T
     if np.ptp(along) <= config.mobile_length or np.ptp(across) >= config.car_width:
         return [members]
     slot = np.floor((along - along.min()) / config.split_gap).astype(np.int64)
     top, shortest = np.zeros(slot.max() + 1), round(config.car_length / config.split_gap)
-    np.maximum.at(top, slot, height[members])
+    np.maximum.at(top, slot, height[members])  # no points between two cars: 0
     between = ndimage.uniform_filter1d(top, round(config.bonnet / config.split_gap))[shortest:-shortest]
     if len(between) == 0:
         return [members]
@@ -266,7 +266,7 @@ def _cars_of_row(xyz: Floats, height: Floats, members: Ints, config: VehicleConf
 def _thick_parts(xy: Floats, body: Mask, config: VehicleConfig) -> Ints:
     """Return the number (N,) of the part of each point (N, 2); below 0 what is thinner than a car.
 
-    The ``body`` (N,) tells what is: branches may hang over a car.
+    Only points of the ``body`` (N,) show how thick a part is: branches may hang over a car.
     """
     if len(xy) == 0:
         return np.zeros(0, dtype=np.int64)
