@@ -193,6 +193,21 @@ def test_at_the_front_of_foliage_a_trajectory_falls_back_on_the_points_and_is_as
     assert (observer.free_probability(on_it) < 0.5).all()
 
 
+def test_a_floor_seen_through_a_window_above_the_sensor_says_nothing_of_the_space_over_it():
+    """Beams reach the ceiling of a room behind the front from below; they reach a shop floor from above."""
+    rng = np.random.default_rng(10)
+    street = crown_over_seen_ground()
+    high = np.column_stack([rng.uniform(7, 13, 800), rng.uniform(9.2, 10.4, 800), np.full(800, 4.0)])
+    cloud = PointCloud(np.concatenate([street.xyz[street.xyz[:, 1] <= 8.0], high]), ORIGIN)
+    over = np.column_stack([np.linspace(8, 12, 9), np.full(9, 9.8), np.full(9, 5.2)]) + ORIGIN
+    driven, bare = (make_observer(SurveyMap(cloud, trajectory=way), CONFIG) for way in (drive(), None))
+    assert bare.empty(over).any()
+    assert not driven.empty(over).any()
+    assert driven.free_probability(over) == pytest.approx(0.5)
+    low = PointCloud(np.concatenate([cloud.xyz, high * [1.0, 1.0, 0.0]]), ORIGIN)
+    assert make_observer(SurveyMap(low, trajectory=drive()), CONFIG).empty(over).any()
+
+
 def test_above_a_crown_that_hides_them_places_are_below_the_view_as_far_as_the_points_show():
     """Poses have the places behind the front of the crown in view, but do not tell how high beams reached."""
     observer = make_observer(SurveyMap(crown_over_seen_ground(), trajectory=drive()), CONFIG)

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import ColumnIndex, build_index, nearest, nearest_points
 from subiaco_change.method_numbers import NUMBERS
@@ -186,6 +187,15 @@ class PointShadow:
 
     def _above(self, local: Floats) -> Flags:
         """Tell which points stand above a seen one, in its column or next to it."""
+        found = self._lowest(local)
+        gap = local[:, 2] - found  # -inf where no point is
+        return np.asarray((gap >= 0) & (gap <= (np.inf if self.from_above else self.height)))
+
+    def lowest(self, world: Floats) -> Floats:
+        """Return the height (N,) of the lowest point in the columns of places (N, 3); inf where none is."""
+        return self._lowest(world - self.origin) + self.origin[2]
+
+    def _lowest(self, local: Floats) -> Floats:
         index, shape = self.index, self.index.shape
         lowest = np.full(shape[0] * shape[1], np.inf)
         filled = np.flatnonzero(np.diff(index.starts) > 0)
@@ -193,8 +203,7 @@ class PointShadow:
         ij, inside = self._columns(local)
         found = np.full(len(local), np.inf)
         found[inside] = lowest[ij[inside, 0] * shape[1] + ij[inside, 1]]
-        gap = local[:, 2] - found  # -inf where no point is
-        return np.asarray((gap >= 0) & (gap <= (np.inf if self.from_above else self.height)))
+        return found
 
 
 @dataclass(frozen=True)
@@ -261,6 +270,7 @@ class PosesAndPoints:
         """Probabilities (N,) by the poses, and which places they tell nothing of and the points call free."""
         chance, undecided = self.poses.free_and_undecided(world)
         by_points = undecided & (chance == _PRIOR)
+        by_points[by_points] = self._looked_down_on(world[by_points])
         ask = np.flatnonzero(by_points)
         by_points[ask] = self.points.free_probability(world[ask]) > _PRIOR
         return chance, by_points
@@ -273,7 +283,19 @@ class PosesAndPoints:
     def _hidden(self, world: Floats, unknown: Flags) -> NDArray[np.int64]:
         """Which of the places of which the poses know nothing are hidden from them."""
         ask = np.flatnonzero(unknown)
-        return ask[self.poses.hidden(world[ask])]
+        ask = ask[self.poses.hidden(world[ask])]
+        return ask[self._looked_down_on(world[ask])]
+
+    def _looked_down_on(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) have a point beneath them that lies lower than the nearest pose.
+
+        A beam to a point above the sensor comes from below: it tells nothing of the space above the point.
+        """
+        eyes = self.poses.images.eyes
+        if len(eyes) == 0 or len(world) == 0:
+            return np.zeros(len(world), dtype=np.bool_)
+        near = cKDTree(eyes[:, :2]).query(world[:, :2])[1]
+        return np.asarray(self.points.lowest(world) < eyes[near, 2])
 
 
 @dataclass(frozen=True)
