@@ -382,5 +382,21 @@ def test_a_porch_whose_top_is_known_says_nothing_of_the_house_behind_it():
     walls = house()
     over = ((-9, -9, 2.5), (30, -1.5, HIGH))
     before = epoch([porch, *walls], inside(OUT["street"], over))
-    after = epoch([porch, *house(2 * TALL)], inside(OUT["street"], over))
+    after = epoch([porch, *walls], inside(OUT["street"], over))
+    storey = voxels(*house(2 * TALL), occupied_in_other=False)
+    after = replace(after, voxels=after.voxels.add(storey.select(storey.height > TALL)))
     assert carve(before, after, CONFIG).height.high > 2.0
+
+
+def test_a_facade_that_is_of_another_object_in_one_epoch_is_not_lost_with_the_awning_before_it():
+    """A tree before the house divides its facade in the later epoch, which met the ground beside the wall."""
+    facade = sheet((0, 0, 0), (LENGTH, CELL, TALL))
+    near, far = (facade[(facade[:, 0] > LENGTH / 2) == east] for east in (False, True))
+    awning = sheet((LENGTH / 2 + 1, -1, 0), (LENGTH, 0, TALL))
+    known = seen("street", "above")
+    for shared, most in ((True, 15.0), (False, 25.0)):
+        walls = voxels(near).add(voxels(far, occupied_in_other=shared))
+        before = CarvingEpoch(walls.add(voxels(awning, occupied_in_other=False)), known, nothing_met)
+        lost = carve(before, CarvingEpoch(voxels(near), known, floor_met), CONFIG).lost
+        assert 10.0 < lost.high < most
+        assert (lost.high < 15.0) == shared

@@ -604,14 +604,6 @@ class RulesNumbers(StrictModel):
 class SpaceCarvingNumbers(StrictModel):
     """Numbers of ``objects/space_carving.py``."""
 
-    horizontal_gap: float = Field(
-        0.8,
-        description="Horizontal distance within which two samplings show one surface [m]",
-    )
-    vertical_gap: float = Field(
-        0.4,
-        description="Vertical distance within which two samplings show one surface [m]",
-    )
     top_tolerance: float = Field(
         0.05,
         description="Depth of a voxel below the top edge to which the voxel belongs [m]",

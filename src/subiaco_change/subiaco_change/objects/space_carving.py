@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import (
@@ -44,8 +43,6 @@ from subiaco_geo.frames import Floats, Ints
 Bare = Callable[[Floats], Mask]
 Cells = NDArray[np.bool_]
 
-_BESIDE = NUMBERS.space_carving.horizontal_gap
-_ABOVE = NUMBERS.space_carving.vertical_gap
 _TOP = NUMBERS.space_carving.top_tolerance
 _FEW = NUMBERS.space_carving.fewest_columns
 _LOOKED = NUMBERS.space_carving.observed_share
@@ -295,14 +292,12 @@ def _none_shared(other: Voxels, *_: object) -> Voxels:
 
 @switchable("surface_of_both_epochs", _none_shared)
 def _shared(other: Voxels, epoch: CarvingEpoch) -> Voxels:
-    """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere."""
-    own = epoch.voxels
-    if len(other) == 0 or len(own) == 0:
-        return other.select(np.zeros(len(other), dtype=bool))
-    scale = 1.0 / np.array([_BESIDE, _BESIDE, _ABOVE])
-    distance = cKDTree(own.xyz * scale).query(other.xyz * scale, distance_upper_bound=1.0)[0]
-    shared = other.occupied_in_other & np.isfinite(distance)
-    if epoch.empty is not None:
+    """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere.
+
+    They may be of another object of this epoch: a tree before a facade divides it in one epoch alone.
+    """
+    shared = other.occupied_in_other & (len(epoch.voxels) > 0)
+    if epoch.empty is not None and shared.any():
         shared[shared] = ~epoch.empty(other.xyz[shared])
     return other.select(shared)
 
