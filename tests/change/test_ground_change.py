@@ -281,6 +281,14 @@ def test_a_patch_whose_difference_varies_by_a_third_of_it_is_not_certain():
     assert varied.confidence < 0.96
 
 
+def test_a_patch_that_varies_by_more_than_it_moved_is_none():
+    """Yards at several levels, of which the epochs saw other parts."""
+    pit, step = box(30, 30, 8, 8), np.random.default_rng(5).choice([-0.2, -0.25, -1.6], (100, 100))
+    found = patches(lambda x, y: np.where(pit(x, y), step[x.astype(int), y.astype(int)], 0.0))
+    assert found == ()
+    assert len(patches(lambda x, y: np.where(pit(x, y), -0.25, 0.0))) == 1
+
+
 def with_points(view, xyz, semantic):
     """The epoch with further points of a class."""
     n = len(xyz)

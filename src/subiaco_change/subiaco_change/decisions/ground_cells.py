@@ -46,6 +46,12 @@ class GroundChangeConfig(StrictModel):
     lod_factor: float = Field(
         1.2, gt=0, description="Limit of a ground change as a multiple of the level of detection (paper)"
     )
+    evenness: float = Field(
+        1.0,
+        ge=0,
+        description="Smallest ratio of the median height difference of a patch to the standard deviation of "
+        "its cells",
+    )
     max_spread: float = Field(
         0.12,
         gt=0,

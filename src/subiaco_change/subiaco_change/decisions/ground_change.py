@@ -93,7 +93,8 @@ def find_patches(
             if _is_interpolated(where, cells, config) or _is_other_surface(where, cells, config):
                 continue
             found = _make_patch(change, where, cells, corner, config)
-            if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
+            uneven = config.evenness * found.dz_spread
+            if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod, uneven):
                 patch[where] = len(patches)
                 patches.append(found)
     return patch, tuple(patches)
