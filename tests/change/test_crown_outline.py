@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from test_measures import voxels
 
-from subiaco_change.decisions.plant_measures import OutlineConfig, beyond_outline, compare_outlines
+from subiaco_change.decisions.plant_measures import (
+    OutlineConfig,
+    PlantConfig,
+    beyond_outline,
+    change_of_base,
+    compare_outlines,
+)
 from subiaco_change.objects.voxel_objects import Voxels
 
 
@@ -42,6 +48,25 @@ def test_a_crown_seen_from_one_side_in_one_epoch_did_not_move():
 
 def test_too_few_directions_tell_nothing():
     assert not compare_outlines(crown(20, 2.0, 1), crown(900, 2.0, 2), OutlineConfig()).known
+
+
+@pytest.mark.parametrize("lifted", [0.0, 1.0, -0.6])
+def test_the_base_of_a_crown_tells_how_far_its_lower_branches_were_cut(lifted):
+    """The trunk says nothing, nor does a bin beneath the crown that one epoch alone has."""
+    trunk = np.column_stack([np.full((40, 2), 0.1), np.linspace(0.0, 4.0, 40)])
+    bin_ = np.random.default_rng(3).uniform((1.0, 1.0, 0.0), (1.5, 1.5, 1.2), (100, 3))
+    before, after = (
+        np.concatenate([np.random.default_rng(seed).uniform((-2, -2, low), (2, 2, 6), (n, 3)), trunk])
+        for seed, low, n in ((1, 3.0, 4000), (2, 3.0 + lifted, 3000))
+    )
+    fall, sigma = change_of_base(before, np.concatenate([after, bin_]), PlantConfig())
+    assert fall == pytest.approx(-lifted, abs=0.1)
+    assert 0.0 < sigma < 0.1
+
+
+def test_few_columns_say_nothing_of_the_base_of_a_crown():
+    fall, sigma = change_of_base(crown(60, 0.5, 1), crown(60, 0.5, 2), PlantConfig())
+    assert np.isnan([fall, sigma]).all()
 
 
 def seen_alone(xyz, alone):

@@ -214,6 +214,15 @@ def test_hedges_are_not_compared_with_crowns_and_their_columns_decide():
     assert label(replace(leaves, rise=math.nan, outline=math.nan), null).change is Change.INCREASED
 
 
+@pytest.mark.parametrize(("base", "found"), [(-1.2, Change.DECREASED), (-0.4, Change.UNCHANGED)])
+def test_a_crown_that_lost_surface_and_whose_base_rose_was_pruned_from_below(base, found):
+    null = fit_null(street(30, 0.0, 0.05), NULL)
+    lifted = replace(TREE, rise=0.0, rise_sigma=0.02, surface=-0.25, base=base, base_sigma=0.02)
+    assert label(lifted, null).change is found
+    assert label(replace(lifted, base=-base), null).change is Change.UNCHANGED
+    assert label(replace(lifted, surface=-0.02), null).change is Change.UNCHANGED
+
+
 def leafless(count, loss):
     """Return trees that kept their extent; one in five lost up to ``loss`` of its surface in leaves."""
     calm = [replace(TREE, rise=0.0, rise_sigma=0.02, surface=v) for v in np.linspace(-0.03, 0.03, 4 * count)]

@@ -18,6 +18,7 @@ _NAMES = {
     "volume": "the volume",
     "surface": "the surface",
     "rise": "the top",
+    "base": "the base",
 }
 
 
@@ -162,7 +163,10 @@ def _decide_by_surface(
     """Decide by measures that rest on new and lost surface; None where none of them exceeds its limit."""
     surface = found["surface"]
     fired = [e for e in candidates if abs(e.strength) > 1]
-    leaves = [e for e in fired if applies("extent_carries_surface", _is_foliage(plant, e, extent, rules))]
+    base = found["base"]
+    leaves = [
+        e for e in fired if applies("extent_carries_surface", _is_foliage(plant, e, extent, base, rules))
+    ]
     fired = [e for e in fired if e not in leaves]
     held = [
         e
@@ -181,8 +185,10 @@ def _decide_by_surface(
     return _of_leaves(plant, max(leaves, key=lambda e: abs(e.strength))) if leaves else None
 
 
-def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: PlantLimits) -> bool:
-    """Tell whether surface appeared or disappeared in a plant of which neither tops nor outline followed.
+def _is_foliage(
+    plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], base: _Excess, rules: PlantLimits
+) -> bool:
+    """Tell whether surface appeared or disappeared in a plant whose tops, outline and base did not follow.
 
     Leaves that fall open a crown to beams and leave its extent as it is. What appeared beside the outline
     of the other epoch is a crown, not leaves.
@@ -193,12 +199,14 @@ def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess],
     if part > rules.height or applies("surface_beside_plant", beside):
         return False
     known = [e.strength for e in extent if math.isfinite(e.value)]
-    return bool(known) and max(sign * s for s in known) < rules.followed
+    return bool(known) and max(sign * s for s in known) < rules.followed and sign * base.strength <= 1.0
 
 
 def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:
     """Leave a plant unchanged whose surface changed while what is known of its extent did not."""
     extent = "neither the top nor the outline of the plant followed"
+    if math.isfinite(plant.base):
+        extent = "neither the top nor the outline nor the base of the plant followed"
     if not math.isfinite(plant.rise):
         extent = "the outline of the plant did not follow, and its top was not observed"
     reason = (
@@ -232,6 +240,7 @@ def _excesses(
         "rise": max(rules.height, gate),
         "volume": rules.volume,
         "surface": rules.surface,
+        "base": max(rules.base, gate),
     }
     found = {}
     for measure, limit in limits.items():

@@ -151,6 +151,15 @@ class PlantConfig(StrictModel):
         description="Distance outside of the outline of a plant, seen from above, beyond which new surface "
         "is no new leaf of that plant [m]",
     )
+    base_columns: int = Field(
+        12, ge=1, description="Number of columns of a crown in both epochs by which its base is compared"
+    )
+    base_clearance: float = Field(
+        1.5,
+        ge=0,
+        description="Height above the foot of a plant below which a column is of its trunk or of what "
+        "grows beneath [m]",
+    )
     outline: OutlineConfig = OutlineConfig()
     tops: TopConfig = TopConfig()
     null_model: VegetationNullConfig = VegetationNullConfig()
@@ -176,6 +185,7 @@ def measure_plant(
     tops = _tops(first, second, spaces, config)
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
+    base, base_sigma = change_of_base(first, second, config)
     both = np.concatenate([first, second])
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
     low = bool(np.quantile(heights, 0.98) <= config.low)
@@ -199,8 +209,35 @@ def measure_plant(
         free_lost=lost,
         tops_unseen=tops.unseen,
         beyond=beyond_outline(join_voxels(before), join_voxels(after), config.beside),
+        base=base,
+        base_sigma=base_sigma,
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
+
+
+def change_of_base(before: Floats, after: Floats, config: PlantConfig) -> tuple[float, float]:
+    """Return how far the base of a crown came down from *before* to *after*, and its standard error [m].
+
+    Of points (N, 3), (M, 3). From the street the lower side of a crown is seen best: lower branches that were
+    cut raise it while the top and the outline stay. The median over the columns that hold leaves in both
+    epochs, and in neither what begins near the ground: the trunk, or a shrub beneath. NaN for few columns.
+    """
+    ground = min(float(before[:, 2].min()), float(after[:, 2].min()))
+    columns = [voxel_keys(voxel_indices(xyz * [1.0, 1.0, 0.0], config.voxel)) for xyz in (before, after)]
+    lowest = []
+    for xyz, column in zip((before, after), columns, strict=True):
+        order = np.lexsort((xyz[:, 2], column))
+        found, first = np.unique(column[order], return_index=True)
+        lowest.append((found, xyz[order[first], 2]))
+    _, at_b, at_a = np.intersect1d(lowest[0][0], lowest[1][0], assume_unique=True, return_indices=True)
+    low_b, low_a = lowest[0][1][at_b], lowest[1][1][at_a]
+    above = np.minimum(low_b, low_a) > ground + config.base_clearance
+    if np.count_nonzero(above) < config.base_columns:
+        return math.nan, math.nan
+    fall = (low_b - low_a)[above]
+    middle = float(np.median(fall))
+    spread = 1.4826 * float(np.median(np.abs(fall - middle)))
+    return middle, 1.2533 * spread / math.sqrt(len(fall))
 
 
 def beyond_outline(before: Voxels, after: Voxels, beside: float) -> float:

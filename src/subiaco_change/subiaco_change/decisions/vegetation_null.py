@@ -33,7 +33,14 @@ _MOST = NUMBERS.vegetation_null.most_of_leaves
 PlantKind = Literal["crown", "hedge"]
 #: What is measured of a plant, with the unit of its values: metres, or a share of what the earlier survey
 #: has, or of the mean of both.
-PLANT_MEASURES = {"outline": "m", "top": "m", "volume": "share", "surface": "share of mean", "rise": "m"}
+PLANT_MEASURES = {
+    "outline": "m",
+    "top": "m",
+    "volume": "share",
+    "surface": "share of mean",
+    "rise": "m",
+    "base": "m",
+}
 
 
 class PlantScatter(StrictModel):
@@ -56,6 +63,9 @@ class PlantScatter(StrictModel):
     rise: float = Field(
         gt=0, description="Standard deviation of the median rise of the tops of unchanged plants [m]"
     )
+    base: float = Field(
+        gt=0, description="Standard deviation of the median fall of the base of unchanged crowns [m]"
+    )
 
 
 @dataclass(frozen=True)
@@ -67,7 +77,8 @@ class PlantMeasures:
     without a crown. NaN where not measured: ``outline`` [m], its standard error ``outline_sigma`` and its
     ``reach`` [m]; ``top`` [m] and its standard error ``top_sigma``; ``volume`` as a share of the earlier, and
     ``surface`` of the mean surface of both epochs;
-    ``rise`` [m], the median rise of the tops of its columns, and its standard error ``rise_sigma``;
+    ``rise`` [m], the median rise of the tops of its columns, and its standard error ``rise_sigma``; ``base``
+    [m], the median fall of the lowest leaves of its columns, and its standard error ``base_sigma``;
     ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the limit that the
     section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``
     [m]: of the columns of a part of the plant. ``free_gained`` and ``free_lost``: probability that the
@@ -99,6 +110,8 @@ class PlantMeasures:
     top_sigma: float = 0.0
     tops_unseen: bool = False
     beyond: float = 0.0
+    base: float = math.nan
+    base_sigma: float = math.nan
 
     def value(self, measure: str) -> float:
         """Return one of :data:`PLANT_MEASURES`."""
@@ -106,7 +119,12 @@ class PlantMeasures:
 
     def error(self, measure: str) -> float:
         """Return the standard error of a measure by the plant itself; 0 where it has none of its own."""
-        errors = {"outline": self.outline_sigma, "rise": self.rise_sigma, "top": self.top_sigma}
+        errors = {
+            "outline": self.outline_sigma,
+            "rise": self.rise_sigma,
+            "top": self.top_sigma,
+            "base": self.base_sigma,
+        }
         own = errors.get(measure, 0.0)
         return 0.0 if math.isnan(own) else own
 
@@ -155,12 +173,12 @@ class VegetationNullConfig(StrictModel):
         "stated scatter, as a standard deviation [1]",
     )
     stated: PlantScatter = Field(
-        PlantScatter(outline=0.10, top=0.10, volume=0.05, surface=0.05, rise=0.08),
+        PlantScatter(outline=0.10, top=0.10, volume=0.05, surface=0.05, rise=0.08, base=0.1),
         description="Scatter of unchanged plants where a pair has too few plants: the largest on "
         "simulated pairs (64 and 128 beams, crowns swelling 2 to 8 %)",
     )
     least: PlantScatter = Field(
-        PlantScatter(outline=0.03, top=0.05, volume=0.03, surface=0.03, rise=0.03),
+        PlantScatter(outline=0.03, top=0.05, volume=0.03, surface=0.03, rise=0.03, base=0.05),
         description="Smallest scatter of unchanged plants that is accepted as measured on a pair",
     )
 
