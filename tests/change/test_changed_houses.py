@@ -7,6 +7,7 @@ import pytest
 from random_houses import Box, Sensor, Street, compare, survey
 
 from subiaco_change.instance_splitting.changed_houses import changed_houses
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.codes import Change
 
@@ -76,6 +77,51 @@ def test_a_narrow_part_at_the_end_of_a_row_may_be_an_extension_though_as_high_as
     slots = round(width / CELL)
     rows = [np.concatenate([houses((4.0, 4.0, 4.0)), np.full(slots, top)]) for top in (0.0, 4.0)]
     assert changed(*rows) == ([3] if is_house else [])
+
+
+def test_a_half_of_a_pair_is_a_house_and_a_shorter_part_of_a_house_is_not():
+    before = np.full(24, 6.0)
+    half, part = before.copy(), before.copy()
+    half[12:], part[15:] = 0.0, 0.0
+    assert set(changed(before, half)) == {1, 2}
+    assert changed(before, part) == []
+
+
+def test_a_house_was_taken_from_a_row_also_where_its_neighbour_was_hidden_beside_it():
+    before, after = houses([4.0] * 5), houses((4.0, 4.0, 0.0, 4.0, 4.0))
+    after[30:32] = 0.0
+    before[30:32] = 0.0
+    assert changed(before, after) == [2]
+
+
+def with_wing(count, width=WIDTH, depth=DEPTH):
+    """A row of houses, seen so deep [m], and that row with a wing of two storeys before the third of them."""
+    before, after = (roofs(houses([4.0] * count), houses([4.0] * count)) for _ in range(2))
+    before, after = (v.select(v.xyz[:, 1] < VERANDAH + depth) for v in (before, after))
+    x, z = (
+        a.ravel() for a in np.meshgrid(2 * WIDTH + np.arange(0.25, width, CELL), np.arange(0.25, 5.0, CELL))
+    )
+    xyz = np.column_stack([x, np.full(len(x), -2.0), z])
+    yes = np.ones(len(xyz), dtype=bool)
+    wing = Voxels(np.zeros(len(xyz), int), xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), z, yes, ~yes, yes)
+    return before, after.add(wing)
+
+
+def test_a_wing_before_a_house_of_a_long_row_is_of_that_house():
+    before, after = with_wing(6)
+    house = changed_houses(before, after)[1]
+    x = np.concatenate([v.xyz[:, 0] for v in (before, after)])[house > 0]
+    assert set((x // WIDTH).astype(int).tolist()) == {2}
+    assert np.count_nonzero(house[: len(before)]) > 0
+    with rules_switched_off(["parts_of_long_buildings"]):
+        assert not changed_houses(before, after)[1].any()
+
+
+@pytest.mark.parametrize(
+    "case", [(3,), (6, 2.0), (6, WIDTH, 1.5)], ids=["a short building", "a narrow part", "a facade alone"]
+)
+def test_no_part_of_a_short_building_or_facade_and_no_narrow_part_is_an_object_of_its_own(case):
+    assert not changed_houses(*with_wing(*case))[1].any()
 
 
 def test_what_was_taken_down_between_a_house_and_its_garage_is_a_part_of_the_house():

@@ -74,6 +74,14 @@ def test_rules_of_buildings_hold_back_a_claim_that_comes_without_them(rule, heig
         assert label() is Change.INCREASED
 
 
+def test_new_walls_carry_a_change_of_height_of_a_house_whose_volume_nobody_knows():
+    """A roof that was lifted by half a metre shows in its eaves alone."""
+    lifted = replace(HOUSE, height_bounds=Interval(0.6, 0.9), volume_bounds=Interval(0.0, 0.0))
+    for surface, change in ((1.0, Change.UNCHANGED), (3.0, Change.INCREASED)):
+        walls = replace(lifted, gained_surface=surface)
+        assert decide(Semantic.BUILDING, True, True, walls, 0.05, CONFIG).change is change
+
+
 #: Rule, plant, label with the rule, label without.
 PLANTS = [
     ("outline_of_plants", replace(CROWN, outline=0.8), Change.INCREASED, Change.UNCHANGED),

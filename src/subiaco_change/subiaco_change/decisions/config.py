@@ -45,6 +45,12 @@ class BuildingLimits(StrictModel):
         description="Area of the surfaces of what was built on or taken away, whose place the other survey "
         "saw free on both sides, from which these surfaces tell the sign of a change of volume [m2]",
     )
+    height_surface: float = Field(
+        2.0,
+        ge=0,
+        description="Area of new or former walls and roofs, whose place the other survey saw free on both "
+        "sides, that supports a change of height without volume [m2]",
+    )
     height_volume: float = Field(
         0.25,
         ge=0,
@@ -64,6 +70,12 @@ class PlantLimits(StrictModel):
         le=1,
         description="Voxel intersection over union above which two matched plants are compared for "
         "changes [1]",
+    )
+    base: float = Field(
+        0.5,
+        gt=0,
+        description="Change of the height of the base of a crown beyond which a change of its surface is no "
+        "matter of leaves [m]",
     )
     height: float = Field(
         0.30,

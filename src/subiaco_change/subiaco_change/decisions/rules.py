@@ -293,13 +293,14 @@ def _span(height: Interval) -> str:
 
 
 def _rise(height: Interval, volume: Interval, surface: float, rules: BuildingLimits) -> float:
-    """Return by how much a rise of a building is met; that of its height needs volume that carries it.
+    """Return by how much a rise of a building is met; that of its height needs volume or walls that carry it.
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
     the area of the surfaces of what was built on that the other epoch would have met [m2]: it tells the sign,
     unless the height says the opposite, or is not known to its limit, so that unseen roofs decide.
     """
-    unsupported = applies("volume_supports_height", volume.high < rules.height_volume)
+    carried = volume.high >= rules.height_volume or surface >= rules.height_surface
+    unsupported = applies("volume_supports_height", not carried)
     known = height.middle > -_OPPOSED and height.high - height.low <= 2.0
     shown = surface >= rules.sign_surface and known
     nearer = 0.0 if applies("sign_by_surface", shown) else rules.certain

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import switchable
 from subiaco_change.objects.column_volumes import tops_of_columns
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
@@ -38,11 +39,17 @@ _END = round(NUMBERS.changed_houses.end_front / _COLUMN)
 _SAME = NUMBERS.changed_houses.same_top
 _ALIKE = NUMBERS.changed_houses.neighbour_share
 _ROW = NUMBERS.changed_houses.houses_of_row
+_HALF = NUMBERS.changed_houses.half_of_pair
 _GARAGE = NUMBERS.changed_houses.garage_height
 _LEAST = NUMBERS.changed_houses.least_top
 _PART = NUMBERS.changed_houses.part_of_usual
 _SUDDEN = NUMBERS.changed_houses.sudden_step
 _QUIET = NUMBERS.changed_houses.quiet_quantile
+_SEEN = NUMBERS.changed_houses.confirmed_voxels
+_GAP = round(NUMBERS.changed_houses.confirmed_gap / _COLUMN)
+_REST = NUMBERS.changed_houses.rest_share
+_DEEP = NUMBERS.changed_houses.part_depth / _COLUMN
+_LONG = round(NUMBERS.changed_houses.rest_length / _COLUMN)
 
 #: Kinds of the slots of a row: unchanged, only in one epoch (in the order of the epochs), reshaped on the
 #: front that both have, or with something else in the place of a front.
@@ -114,7 +121,11 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     turned = wall_coordinates(xyz[:, :2])
     slots = np.floor((turned - turned.min(axis=0)) / _COLUMN).astype(np.int64)
     house = np.zeros(len(xyz), dtype=np.int64)
-    axis, found = _along_row(sides, [slots[epoch == e] for e in (0, 1)])
+    own_slots = [slots[epoch == e] for e in (0, 1)]
+    axis, found = _along_row(sides, own_slots)
+    if not found:
+        axis = int(np.argmax(slots.max(axis=0)))
+        found = _confirmed_stretches(sides, own_slots, axis)
     place = slots[:, axis]
     for stretch in found:
         inside = _within(place, stretch.begin, stretch.end)
@@ -144,6 +155,40 @@ def _along_row(sides: Sequence[Voxels], slots: Sequence[Ints]) -> tuple[int, lis
         if extent[axis] < _ALIKE * extent.max():
             return axis, []
     return axis, found[axis]
+
+
+def _no_stretches(*_: object) -> list[_Stretch]:
+    """Return none."""
+    return []
+
+
+@switchable("parts_of_long_buildings", _no_stretches)
+def _confirmed_stretches(sides: Sequence[Voxels], slots: Sequence[Ints], axis: int) -> list[_Stretch]:
+    """Find where along a long building surfaces lie that the other epoch saw free on both sides.
+
+    A house of a row was reshaped there, or has a wing. The stretch is as wide as a house, both epochs saw the
+    building behind it to the depth of a room, and most of the building shows nothing of the kind. Of a facade
+    alone nobody knows the volume that a bay is a share of.
+    """
+    count = max(int(own[:, axis].max()) for own in slots) + 1
+    seen, columns = np.zeros(count), []
+    for voxels, own in zip(sides, slots, strict=True):
+        tall = voxels.height >= _ROOM
+        changed = tall & voxels.free_space_confirmed & ~voxels.occupied_in_other
+        seen += np.bincount(own[changed, axis], minlength=count)
+        columns.append({tuple(slot) for slot in own[tall].tolist()})
+    shared = np.bincount([slot[axis] for slot in columns[0] & columns[1]], minlength=count)
+    most = np.minimum(*(np.bincount([slot[axis] for slot in own], minlength=count) for own in columns))
+    joined = ndimage.binary_closing(np.pad(seen > 1, _GAP), np.ones(_GAP + 1))[_GAP:-_GAP]
+    built = shared > _LEFT * most
+    return [
+        _Stretch(begin, end, _PARTLY, float(seen[begin:end].mean()))
+        for begin, end in _runs(joined)
+        if seen[begin:end].sum() >= _SEEN
+        and np.median(shared[begin:end]) >= _DEEP
+        and np.count_nonzero(built[begin:end]) >= _ALIKE * (end - begin)
+        and np.count_nonzero(built & ~joined) >= max(_REST * (end - begin), _LONG)
+    ]
 
 
 def _within(slot: Ints, begin: int, end: int) -> Mask:
@@ -255,23 +300,38 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     """Tell whether a changed stretch of a row is a house of the row, and no wing of its last house.
 
     What one epoch alone has between houses, which are higher than garages, is one if it is about as high as
-    the lower of them: an extension is lower. At the end of a long row it must be as high and as deep as the
-    house beside it, and wider than most extensions. ``built``: slots (S,) in which both epochs have a house.
+    the lower of them: an extension is lower. At the end of a long row, or as half of a pair, it must be as
+    high and as deep as the house beside it, and wider than most extensions. ``built``: slots (S,) in which
+    both epochs have a house.
     """
     if stretch.only is None:
         return stretch.kind != _PARTLY
     begin, end = stretch.begin, stretch.end
     own = sides[stretch.only]
     top = float(np.median(own.top[begin:end]))
-    around = slice(max(begin - _WIDTH, 0), begin), slice(end, end + _WIDTH)
-    beside = [slots for slots in around if _is_house_wide(built[slots])]
+    around = (
+        [slice(max(begin - gap - _WIDTH, 0), max(begin - gap, 0)) for gap in range(_WALLS + 1)],
+        [slice(end + gap, end + gap + _WIDTH) for gap in range(_WALLS + 1)],
+    )
+    wide = [[slots for slots in side if _is_house_wide(built[slots])] for side in around]
+    beside = [side[0] for side in wide if side]
     tops = [float(np.median(own.top[slots])) for slots in beside]
-    if len(beside) != 1 or np.count_nonzero(built) < _ROW * (end - begin):
+    long = np.count_nonzero(built) >= _ROW * (end - begin)
+    if len(beside) != 1 or not (long or _is_half(sides, stretch, built)):
         return len(beside) == 2 and min(tops) >= _GARAGE and top >= _LEAST * min(tops)
     if end - begin < _END:
         return False
     depths = [np.count_nonzero(own.columns[slots], axis=1).mean() for slots in (slice(begin, end), beside[0])]
     return bool(abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1])
+
+
+def _is_half(sides: Sequence[_Profile], stretch: _Stretch, built: Mask) -> bool:
+    """Tell whether what one epoch alone has, with its walls, is as long as the house that both have."""
+    own, other = (sides[k].columns for k in (stretch.only or 0, 1 - (stretch.only or 0)))
+    alone = own.any(axis=1) & (np.count_nonzero(own & other, axis=1) <= _LEFT * np.count_nonzero(own, axis=1))
+    walls = slice(max(stretch.begin - _WALLS, 0), stretch.end + _WALLS)
+    halves = np.count_nonzero(built & ~alone), np.count_nonzero(alone[walls])
+    return bool(min(halves) >= _HALF * max(halves))
 
 
 def _is_house_wide(slots: Mask) -> bool:

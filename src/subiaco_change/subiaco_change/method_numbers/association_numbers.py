@@ -59,6 +59,32 @@ class ChangedHousesNumbers(StrictModel):
         description="Number of houses, as long as the changed one, that remain of a row at whose end a house "
         "is new or gone",
     )
+    half_of_pair: float = Field(
+        0.85,
+        description="Smallest ratio of the widths of the two houses of a pair of which one is new or gone",
+    )
+    confirmed_voxels: int = Field(
+        40,
+        description="Number of voxels of one epoch alone, seen free on both sides, that a changed part of a "
+        "long building must have",
+    )
+    confirmed_gap: float = Field(
+        1.0, description="Gap along a long building across which such voxels are of one changed part [m]"
+    )
+    part_depth: float = Field(
+        4.0,
+        description="Smallest depth to which both epochs saw a long building along its changed part [m]",
+    )
+    rest_share: float = Field(
+        2.0,
+        description="Ratio of the length of a building without a change to that of its changed part, from "
+        "which the part is an object of its own",
+    )
+    rest_length: float = Field(
+        12.0,
+        description="Smallest length of the rest of a building of which a changed part is an object of its "
+        "own [m]",
+    )
     end_front: float = Field(
         4.5,
         description="Smallest width of a house at the end of a row; what is narrower may be an extension [m]",

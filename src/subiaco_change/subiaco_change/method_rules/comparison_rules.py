@@ -437,10 +437,24 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.changed_houses.least_top",
             "method_numbers.changed_houses.garage_height",
             "method_numbers.changed_houses.houses_of_row",
+            "method_numbers.changed_houses.half_of_pair",
             "method_numbers.changed_houses.end_front",
             "method_numbers.changed_houses.wall_reach",
             "method_numbers.changed_houses.same_top",
             "method_numbers.changed_houses.neighbour_share",
+        ),
+    ),
+    Rule(
+        "parts_of_long_buildings",
+        _HERE,
+        "The part of a long building along which one survey alone has surfaces that the other would have met"
+        " is an object of its own: a house of a row was reshaped or has a wing.",
+        (
+            "method_numbers.changed_houses.confirmed_voxels",
+            "method_numbers.changed_houses.confirmed_gap",
+            "method_numbers.changed_houses.part_depth",
+            "method_numbers.changed_houses.rest_share",
+            "method_numbers.changed_houses.rest_length",
         ),
     ),
     Rule(
@@ -579,14 +593,13 @@ BUILDING_RULES: tuple[Rule, ...] = (
     Rule(
         "volume_supports_height",
         _HERE,
-        "A change of height of a building needs volume that carries the change.",
-        ("decisions.building.height_volume",),
+        "A change of height of a building needs volume, or new or former walls, that carry the change.",
+        ("decisions.building.height_volume", "decisions.building.height_surface"),
     ),
     Rule(
         "surface_of_both_epochs",
         _HERE,
         "A surface of the other epoch that an epoch has too, sampled elsewhere, counts as its own.",
-        ("method_numbers.space_carving.horizontal_gap", "method_numbers.space_carving.vertical_gap"),
     ),
     Rule(
         "surfaces_not_refuted",

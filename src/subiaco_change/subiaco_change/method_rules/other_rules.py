@@ -80,8 +80,13 @@ PLANT_RULES: tuple[Rule, ...] = (
     Rule(
         "extent_carries_surface",
         _PLANTS,
-        "New or lost surface of a plant of which neither tops nor outline followed is a matter of leaves.",
-        ("decisions.vegetation.followed",),
+        "New or lost surface of a plant whose tops, outline and base stayed is a matter of leaves.",
+        (
+            "decisions.vegetation.followed",
+            "decisions.vegetation.base",
+            "plants.base_columns",
+            "plants.base_clearance",
+        ),
         guards=True,
     ),
     Rule(
