@@ -80,11 +80,12 @@ def test_a_narrow_part_at_the_end_of_a_row_may_be_an_extension_though_as_high_as
 
 
 def test_a_half_of_a_pair_is_a_house_and_a_shorter_part_of_a_house_is_not():
-    before = np.full(24, 6.0)
+    before = np.full(28, 6.0)
     half, part = before.copy(), before.copy()
-    half[12:], part[15:] = 0.0, 0.0
+    half[14:], part[17:] = 0.0, 0.0
     assert set(changed(before, half)) == {1, 2}
     assert changed(before, part) == []
+    assert changed(before[:20], np.where(np.arange(20) < 10, 6.0, 0.0)) == []  # a house that lost its half
 
 
 def test_a_house_was_taken_from_a_row_also_where_its_neighbour_was_hidden_beside_it():

@@ -40,6 +40,7 @@ _SAME = NUMBERS.changed_houses.same_top
 _ALIKE = NUMBERS.changed_houses.neighbour_share
 _ROW = NUMBERS.changed_houses.houses_of_row
 _HALF = NUMBERS.changed_houses.half_of_pair
+_PAIR = round(NUMBERS.changed_houses.pair_front / _COLUMN)
 _GARAGE = NUMBERS.changed_houses.garage_height
 _LEAST = NUMBERS.changed_houses.least_top
 _PART = NUMBERS.changed_houses.part_of_usual
@@ -170,15 +171,15 @@ def _confirmed_stretches(sides: Sequence[Voxels], slots: Sequence[Ints], axis: i
     building behind it to the depth of a room, and most of the building shows nothing of the kind. Of a facade
     alone nobody knows the volume that a bay is a share of.
     """
-    count = max(int(own[:, axis].max()) for own in slots) + 1
-    seen, columns = np.zeros(count), []
-    for voxels, own in zip(sides, slots, strict=True):
+    columns = np.zeros((2, *(np.concatenate(slots).max(axis=0) + 1)), dtype=bool)
+    seen = np.zeros(columns.shape[1 + axis])
+    for held, voxels, own in zip(columns, sides, slots, strict=True):
         tall = voxels.height >= _ROOM
         changed = tall & voxels.free_space_confirmed & ~voxels.occupied_in_other
-        seen += np.bincount(own[changed, axis], minlength=count)
-        columns.append({tuple(slot) for slot in own[tall].tolist()})
-    shared = np.bincount([slot[axis] for slot in columns[0] & columns[1]], minlength=count)
-    most = np.minimum(*(np.bincount([slot[axis] for slot in own], minlength=count) for own in columns))
+        seen += np.bincount(own[changed, axis], minlength=len(seen))
+        held[tuple(own[tall].T)] = True
+    shared = np.count_nonzero(columns.all(axis=0), axis=1 - axis)
+    most = np.count_nonzero(columns, axis=2 - axis).min(axis=0)
     joined = ndimage.binary_closing(np.pad(seen > 1, _GAP), np.ones(_GAP + 1))[_GAP:-_GAP]
     built = shared > _LEFT * most
     return [
@@ -326,12 +327,15 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
 
 
 def _is_half(sides: Sequence[_Profile], stretch: _Stretch, built: Mask) -> bool:
-    """Tell whether what one epoch alone has, with its walls, is as long as the house that both have."""
+    """Tell whether what one epoch alone has, with its walls, is as long as the house that both have.
+
+    A narrower half is of one house that was shortened.
+    """
     own, other = (sides[k].columns for k in (stretch.only or 0, 1 - (stretch.only or 0)))
     alone = own.any(axis=1) & (np.count_nonzero(own & other, axis=1) <= _LEFT * np.count_nonzero(own, axis=1))
     walls = slice(max(stretch.begin - _WALLS, 0), stretch.end + _WALLS)
     halves = np.count_nonzero(built & ~alone), np.count_nonzero(alone[walls])
-    return bool(min(halves) >= _HALF * max(halves))
+    return bool(min(halves) >= max(_HALF * max(halves), _PAIR))
 
 
 def _is_house_wide(slots: Mask) -> bool:

@@ -63,6 +63,9 @@ class ChangedHousesNumbers(StrictModel):
         0.85,
         description="Smallest ratio of the widths of the two houses of a pair of which one is new or gone",
     )
+    pair_front: float = Field(
+        6.5, description="Smallest width of each house of a pair of which one is new or gone [m]"
+    )
     confirmed_voxels: int = Field(
         40,
         description="Number of voxels of one epoch alone, seen free on both sides, that a changed part of a "
