@@ -21,6 +21,7 @@ from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNu
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
+from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.known_space import ALL_FREE, KnownSpace, KnownSpaces
 from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.objects.plant_tops import TopChange, TopConfig, change_of_tops
@@ -223,9 +224,9 @@ def change_of_base(before: Floats, after: Floats, config: PlantConfig) -> tuple[
     epochs, and in neither what begins near the ground: the trunk, or a shrub beneath. NaN for few columns.
     """
     ground = min(float(before[:, 2].min()), float(after[:, 2].min()))
-    columns = [voxel_keys(voxel_indices(xyz * [1.0, 1.0, 0.0], config.voxel)) for xyz in (before, after)]
     lowest = []
-    for xyz, column in zip((before, after), columns, strict=True):
+    for xyz in (before, after):
+        column = column_keys(xyz, config.voxel)
         order = np.lexsort((xyz[:, 2], column))
         found, first = np.unique(column[order], return_index=True)
         lowest.append((found, xyz[order[first], 2]))
