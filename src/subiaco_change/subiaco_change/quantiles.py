@@ -1,4 +1,4 @@
-"""Quantiles of few values, of which a comparison asks tens of thousands."""
+"""Quantiles of few values, of which a comparison asks tens of thousands, and what rests on medians."""
 
 from __future__ import annotations
 
@@ -19,3 +19,12 @@ def quantile_of(values: Floats, share: float) -> float:
     low, high, part = float(ordered[first]), float(ordered[second]), place - first
     step = high - low
     return high - step * (1.0 - part) if part >= 0.5 else low + step * part
+
+
+def median_and_spread(values: Floats) -> tuple[float, float]:
+    """Return the median of values (N,) and their standard deviation by the median distance from it.
+
+    The factor holds for a normal distribution.
+    """
+    middle = float(np.median(values))
+    return middle, 1.4826 * float(np.median(np.abs(values - middle)))

@@ -165,11 +165,12 @@ class PointShadow:
 
     def tops(self, world: Floats) -> Floats:
         """Return the height (N,) of the highest point in the columns of places (N, 3); NaN where none is."""
-        ij, inside = self._columns(world - self.origin)
-        column = np.where(inside, ij[:, 0] * self.index.shape[1] + ij[:, 1], 0)
-        first, end = self.index.starts[column], self.index.starts[column + 1]
-        tops = self.index.xyz[end - 1, 2] + self.origin[2]
-        return np.asarray(np.where(inside & (end > first), tops, np.nan))
+        _, end, held = self._points_of_columns(world - self.origin)
+        return np.where(held, self.index.xyz[end - 1, 2] + self.origin[2], np.nan)
+
+    def lowest(self, world: Floats) -> Floats:
+        """Return the height (N,) of the lowest point in the columns of places (N, 3); inf where none is."""
+        return self._lowest(world - self.origin) + self.origin[2]
 
     def levelled(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) are no higher than what the cloud shows its view to have reached."""
@@ -186,24 +187,22 @@ class PointShadow:
         return ij, np.asarray(np.all((ij >= 0) & (ij < self.index.shape), axis=1))
 
     def _above(self, local: Floats) -> Flags:
-        """Tell which points stand above a seen one, in its column or next to it."""
-        found = self._lowest(local)
-        gap = local[:, 2] - found  # -inf where no point is
+        """Tell which points stand above a seen one in their column."""
+        gap = local[:, 2] - self._lowest(local)  # -inf where no point is
         return np.asarray((gap >= 0) & (gap <= (np.inf if self.from_above else self.height)))
 
-    def lowest(self, world: Floats) -> Floats:
-        """Return the height (N,) of the lowest point in the columns of places (N, 3); inf where none is."""
-        return self._lowest(world - self.origin) + self.origin[2]
-
     def _lowest(self, local: Floats) -> Floats:
-        index, shape = self.index, self.index.shape
-        lowest = np.full(shape[0] * shape[1], np.inf)
-        filled = np.flatnonzero(np.diff(index.starts) > 0)
-        lowest[filled] = index.xyz[index.starts[filled], 2]
+        first, _, held = self._points_of_columns(local)
+        lowest = np.full(len(local), np.inf)
+        lowest[held] = self.index.xyz[first[held], 2]
+        return lowest
+
+    def _points_of_columns(self, local: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], Flags]:
+        """First and end (N,) of the points, upwards, of the columns of places (N, 3), and which hold any."""
         ij, inside = self._columns(local)
-        found = np.full(len(local), np.inf)
-        found[inside] = lowest[ij[inside, 0] * shape[1] + ij[inside, 1]]
-        return found
+        column = np.where(inside, ij[:, 0] * self.index.shape[1] + ij[:, 1], 0)
+        first, end = self.index.starts[column], self.index.starts[column + 1]
+        return first, end, np.asarray(inside & (end > first))
 
 
 @dataclass(frozen=True)

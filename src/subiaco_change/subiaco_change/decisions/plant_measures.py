@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
-from subiaco_change.geometry import in_box_around
+from subiaco_change.geometry import in_box_around, in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
 from subiaco_change.objects.column_volumes import column_keys
@@ -26,7 +25,7 @@ from subiaco_change.objects.known_space import ALL_FREE, KnownSpace, KnownSpaces
 from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.objects.plant_tops import TopChange, TopConfig, change_of_tops
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
-from subiaco_change.quantiles import quantile_of
+from subiaco_change.quantiles import median_and_spread, quantile_of
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -96,8 +95,7 @@ def compare_outlines(before: Floats, after: Floats, config: OutlineConfig) -> Ou
     if len(shifts) < config.directions:
         return Outline()
     shift = np.array(shifts)
-    middle_shift = float(np.median(shift))
-    spread = 1.4826 * float(np.median(np.abs(shift - middle_shift)))
+    middle_shift, spread = median_and_spread(shift)
     relative = float(np.median(shift / np.maximum(reaches, 1e-6)))
     return Outline(middle_shift, 1.2533 * spread / math.sqrt(len(shift)), relative)
 
@@ -236,8 +234,7 @@ def change_of_base(before: Floats, after: Floats, config: PlantConfig) -> tuple[
     if np.count_nonzero(above) < config.base_columns:
         return math.nan, math.nan
     fall = (low_b - low_a)[above]
-    middle = float(np.median(fall))
-    spread = 1.4826 * float(np.median(np.abs(fall - middle)))
+    middle, spread = median_and_spread(fall)
     return middle, 1.2533 * spread / math.sqrt(len(fall))
 
 
@@ -253,8 +250,7 @@ def beyond_outline(before: Voxels, after: Voxels, beside: float) -> float:
     found = []
     for own, other in ((before, after), (after, before)):
         alone = own.xyz[own.observed_unoccupied, :2]
-        outline = shapely.MultiPoint(other.xyz[:, :2]).convex_hull.buffer(beside)
-        found.append(np.count_nonzero(~shapely.contains_xy(outline, alone[:, 0], alone[:, 1])))
+        found.append(np.count_nonzero(~in_outline_of(other.xyz[:, :2], alone, beside)))
     return 2.0 * (found[1] - found[0]) / total
 
 

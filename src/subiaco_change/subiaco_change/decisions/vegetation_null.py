@@ -119,13 +119,7 @@ class PlantMeasures:
 
     def error(self, measure: str) -> float:
         """Return the standard error of a measure by the plant itself; 0 where it has none of its own."""
-        errors = {
-            "outline": self.outline_sigma,
-            "rise": self.rise_sigma,
-            "top": self.top_sigma,
-            "base": self.base_sigma,
-        }
-        own = errors.get(measure, 0.0)
+        own = float(getattr(self, f"{measure}_sigma", 0.0))
         return 0.0 if math.isnan(own) else own
 
 

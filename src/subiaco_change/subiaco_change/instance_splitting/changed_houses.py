@@ -83,7 +83,8 @@ class _Profile:
     (S,) in whose column the other epoch has something, both less what the quiet slots of the row show;
     ``known`` (S,): whether the other epoch observed any of them; ``foot`` (S,): the share of what is lower
     than a room, NaN where nothing is known; ``tops`` (S, T) of its columns [m], 0 for none; ``step`` (S,),
-    how far it rises over what the other epoch has in a column [m].
+    how far it rises over what the other epoch has in a column [m]; ``confirmed`` (S,): number of its voxels
+    whose place the other epoch saw free on both sides.
     """
 
     alone: Floats
@@ -92,6 +93,7 @@ class _Profile:
     foot: Floats
     tops: Floats
     step: Floats
+    confirmed: Ints
 
     @property
     def columns(self) -> Mask:
@@ -102,6 +104,11 @@ class _Profile:
     def top(self) -> Floats:
         """Height (S,) of the highest column of every slot [m], 0 for none."""
         return np.asarray(self.tops.max(axis=1))
+
+    def hardly_in(self, other: _Profile) -> Mask:
+        """Tell in which slots (S,) the other epoch has few of its columns, also where it has none."""
+        shared = np.count_nonzero(self.columns & other.columns, axis=1)
+        return np.asarray(shared <= _LEFT * np.count_nonzero(self.columns, axis=1))
 
 
 def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
@@ -122,38 +129,36 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     turned = wall_coordinates(xyz[:, :2])
     slots = np.floor((turned - turned.min(axis=0)) / _COLUMN).astype(np.int64)
     house = np.zeros(len(xyz), dtype=np.int64)
-    own_slots = [slots[epoch == e] for e in (0, 1)]
-    axis, found = _along_row(sides, own_slots)
+    own = [slots[epoch == e] for e in (0, 1)]
+    profiles = [_profiles(sides, own), _profiles(sides, [side[:, ::-1] for side in own])]
+    axis, found = _along_row(profiles)
     if not found:
         axis = int(np.argmax(slots.max(axis=0)))
-        found = _confirmed_stretches(sides, own_slots, axis)
+        found = _confirmed_stretches(profiles[axis])
     place = slots[:, axis]
     for stretch in found:
         inside = _within(place, stretch.begin, stretch.end)
-        own = alone | inside if stretch.only is None else alone & (epoch == stretch.only)
+        of_house = alone | inside if stretch.only is None else alone & (epoch == stretch.only)
         walls = _within(place, stretch.begin - _WALLS, stretch.end + _WALLS)
-        house[own & walls & (house == 0)] = house.max() + 1
+        house[of_house & walls & (house == 0)] = house.max() + 1
     cuts = np.unique([cut for stretch in found for cut in (stretch.begin, stretch.end)])
     stretches = np.searchsorted(cuts, place, side="right")
     return stretches, house
 
 
-def _along_row(sides: Sequence[Voxels], slots: Sequence[Ints]) -> tuple[int, list[_Stretch]]:
+def _along_row(profiles: Sequence[Sequence[_Profile]]) -> tuple[int, list[_Stretch]]:
     """Return the axis along which a row runs, and its changed houses.
 
     Seen along the row, a change is confined to few slots; seen across it, houses that did not change lie in
     the same slots. Where one axis alone shows changed houses, it must not be much the shorter one.
     """
-    found = [
-        _changed_stretches(_profiles(sides, [own if axis == 0 else own[:, ::-1] for own in slots]))
-        for axis in (0, 1)
-    ]
+    found = [_changed_stretches(sides) for sides in profiles]
     if all(found):
         axis = int(np.argmax([np.mean([stretch.share for stretch in some]) for some in found]))
     else:
         axis = int(not found[0])
-        extent = np.concatenate(slots).max(axis=0)
-        if extent[axis] < _ALIKE * extent.max():
+        extent = [len(sides[0].tops) - 1 for sides in profiles]
+        if extent[axis] < _ALIKE * max(extent):
             return axis, []
     return axis, found[axis]
 
@@ -164,24 +169,18 @@ def _no_stretches(*_: object) -> list[_Stretch]:
 
 
 @switchable("parts_of_long_buildings", _no_stretches)
-def _confirmed_stretches(sides: Sequence[Voxels], slots: Sequence[Ints], axis: int) -> list[_Stretch]:
+def _confirmed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     """Find where along a long building surfaces lie that the other epoch saw free on both sides.
 
     A house of a row was reshaped there, or has a wing. The stretch is as wide as a house, both epochs saw the
     building behind it to the depth of a room, and most of the building shows nothing of the kind. Of a facade
     alone nobody knows the volume that a bay is a share of.
     """
-    columns = np.zeros((2, *(np.concatenate(slots).max(axis=0) + 1)), dtype=bool)
-    seen = np.zeros(columns.shape[1 + axis])
-    for held, voxels, own in zip(columns, sides, slots, strict=True):
-        tall = voxels.height >= _ROOM
-        changed = tall & voxels.free_space_confirmed & ~voxels.occupied_in_other
-        seen += np.bincount(own[changed, axis], minlength=len(seen))
-        held[tuple(own[tall].T)] = True
-    shared = np.count_nonzero(columns.all(axis=0), axis=1 - axis)
-    most = np.count_nonzero(columns, axis=2 - axis).min(axis=0)
+    first, second = sides
+    seen = first.confirmed + second.confirmed
+    shared = np.count_nonzero(first.columns & second.columns, axis=1)
+    built = ~(first.hardly_in(second) & second.hardly_in(first))
     joined = ndimage.binary_closing(np.pad(seen > 1, _GAP), np.ones(_GAP + 1))[_GAP:-_GAP]
-    built = shared > _LEFT * most
     return [
         _Stretch(begin, end, _PARTLY, float(seen[begin:end].mean()))
         for begin, end in _runs(joined)
@@ -222,7 +221,8 @@ def _profile(voxels: Voxels, slots: Ints, tall: Mask, tops: Floats, others: Floa
     new = tall & alone
     rises = tops_of_columns(slots[new], voxels.height[new], tops.shape) - others
     step = np.where(others > 0, rises, 0.0).max(axis=1)
-    return _Profile(alone_share, above_share, known > 0, foot, tops, np.maximum(step, 0.0))
+    confirmed = np.bincount(place[new & voxels.free_space_confirmed], minlength=count)
+    return _Profile(alone_share, above_share, known > 0, foot, tops, np.maximum(step, 0.0), confirmed)
 
 
 def _smoothed(values: NDArray[Any]) -> NDArray[Any]:
@@ -274,12 +274,10 @@ def _kinds(sides: Sequence[_Profile]) -> Ints:
     """
     changed = [side.above >= _CHANGED for side in sides]
     foot = np.logical_or(*(side.foot >= _GONE for side in sides))
-    shared = np.count_nonzero(sides[0].columns & sides[1].columns, axis=1)
     kind = np.select([changed[1], changed[0]], [_GAINED, _LOST], _UNCHANGED)
     kind[_smoothed(foot) & (kind != _UNCHANGED)] = _PARTLY
     for only, side in enumerate(sides):
-        own = np.count_nonzero(side.columns, axis=1)
-        gone = (side.alone >= _CHANGED) & (shared <= _LEFT * own) & ~(side.foot < _GONE)
+        gone = (side.alone >= _CHANGED) & side.hardly_in(sides[1 - only]) & ~(side.foot < _GONE)
         kind[_smoothed(gone)] = _ONLY[only]
     return kind
 
@@ -308,7 +306,7 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     if stretch.only is None:
         return stretch.kind != _PARTLY
     begin, end = stretch.begin, stretch.end
-    own = sides[stretch.only]
+    own, other = sides[stretch.only], sides[1 - stretch.only]
     top = float(np.median(own.top[begin:end]))
     around = (
         [slice(max(begin - gap - _WIDTH, 0), max(begin - gap, 0)) for gap in range(_WALLS + 1)],
@@ -318,7 +316,7 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     beside = [side[0] for side in wide if side]
     tops = [float(np.median(own.top[slots])) for slots in beside]
     long = np.count_nonzero(built) >= _ROW * (end - begin)
-    if len(beside) != 1 or not (long or _is_half(sides, stretch, built)):
+    if len(beside) != 1 or not (long or _is_half(own, other, built, stretch)):
         return len(beside) == 2 and min(tops) >= _GARAGE and top >= _LEAST * min(tops)
     if end - begin < _END:
         return False
@@ -326,13 +324,12 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     return bool(abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1])
 
 
-def _is_half(sides: Sequence[_Profile], stretch: _Stretch, built: Mask) -> bool:
+def _is_half(own: _Profile, other: _Profile, built: Mask, stretch: _Stretch) -> bool:
     """Tell whether what one epoch alone has, with its walls, is as long as the house that both have.
 
     A narrower half is of one house that was shortened.
     """
-    own, other = (sides[k].columns for k in (stretch.only or 0, 1 - (stretch.only or 0)))
-    alone = own.any(axis=1) & (np.count_nonzero(own & other, axis=1) <= _LEFT * np.count_nonzero(own, axis=1))
+    alone = own.columns.any(axis=1) & own.hardly_in(other)
     walls = slice(max(stretch.begin - _WALLS, 0), stretch.end + _WALLS)
     halves = np.count_nonzero(built & ~alone), np.count_nonzero(alone[walls])
     return bool(min(halves) >= max(_HALF * max(halves), _PAIR))

@@ -19,6 +19,7 @@ from scipy.special import gammaln, ndtri, stdtrit
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
 from subiaco_change.objects.known_space import Free, KnownSpaces
+from subiaco_change.quantiles import median_and_spread
 from subiaco_geo.clouds import extent_of, unique_cells
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -133,8 +134,7 @@ def change_of_tops(before: Floats, after: Floats, spaces: KnownSpaces, config: T
     if np.count_nonzero(known) < max(config.columns, config.known * len(known)):
         return TopChange(rise_of_part=parts[0], fall_of_part=parts[1], unseen=True)
     rises = (columns.tops[1] - columns.tops[0])[known]
-    median = float(np.median(rises))
-    spread = 1.4826 * float(np.median(np.abs(rises - median)))
+    median, spread = median_and_spread(rises)
     shared = max(config.patch * (config.cell / columns.cell) ** 2, 1.0)  # wide columns share no beams
     patches = max(len(rises) / shared, 1.0)
     few = _uncertain_spread(len(rises))

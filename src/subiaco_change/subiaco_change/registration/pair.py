@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.quantiles import median_and_spread
 from subiaco_geo.clouds import PointCloud, unique_cells, voxel_downsample
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
@@ -150,8 +151,7 @@ def refuse_height_offset(before: dict[tuple[int, int], float], after: dict[tuple
     if len(shared) < _HEIGHT_CELLS:
         return
     differences = np.array([after[cell] - before[cell] for cell in sorted(shared)])
-    offset = float(np.median(differences))
-    spread = 1.4826 * float(np.median(np.abs(differences - offset)))
+    offset, spread = median_and_spread(differences)
     if abs(offset) <= _HEIGHT_OFFSET or spread > max(1.0, 0.1 * abs(offset)):
         return
     lower = "before" if offset > 0 else "after"

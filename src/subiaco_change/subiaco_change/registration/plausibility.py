@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from subiaco_change.geometry import Level, LocalPlanes, nearest
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.quantiles import median_and_spread
 from subiaco_change.registration.icp import Pairs, Target, jacobian
 from subiaco_geo.clouds import unique_cells, unique_keys
 from subiaco_geo.frames import Floats, Ints, transform_points
@@ -292,7 +293,7 @@ def _block_bias(points: Floats, normals: Floats, weights: Floats, residuals: Flo
     mean = mean[np.bincount(member) >= 100]
     if len(mean) < 3:
         return 0.0
-    return float(1.4826 * np.median(np.abs(mean - np.median(mean))))
+    return median_and_spread(mean)[1]
 
 
 def blocks_of(xyz: Floats, edge: float, smallest: float, groups: int) -> tuple[Ints, Ints]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import fit_planes
+from subiaco_change.quantiles import median_and_spread
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_evaluation.injection.config import InjectionConfig, RepeatConfig
 from subiaco_evaluation.injection.second_pass import resampled
@@ -65,7 +66,7 @@ def measured_repeat(scene: SourceScene, other: PointCloud, config: InjectionConf
     along = np.einsum("ij,ij->i", offset, planes.normals[flat])
     repeat = config.repeat
     if np.count_nonzero(flat) >= _FEWEST:
-        spread = 1.4826 * float(np.median(np.abs(along - np.median(along))))
+        _, spread = median_and_spread(along)
         repeat = repeat.model_copy(update={"sigma": round(spread / math.sqrt(2.0), 4)})
     leafy = scene.semantic == Semantic.VEGETATION
     few = np.asarray(scene.cloud.fields.get("n", np.ones(len(leafy)))) <= _FEW_BEAMS
