@@ -113,6 +113,13 @@ def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unles
     assert told(enough, height=(0.1, 0.4), resolution=2.0) is found
 
 
+@pytest.mark.parametrize(("surface", "expected"), [(13.0, Change.INCREASED), (7.0, Change.UNCHANGED)])
+def test_the_volume_of_the_limit_must_fit_behind_the_surfaces_that_tell_a_sign(surface, expected):
+    """Behind 7 m² of a block of 700 m³, 70 m³ would be 10 m deep."""
+    bounds = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(7.0, 280.0)}
+    assert label(**bounds, volume=700.0, gained_surface=surface) is expected
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_what_may_have_changed_where_nobody_looked_does_not_oppose_what_was_seen(sign):
     """A wing of 11 to 16 % was demolished; where it hid the house, up to 31 % may have been built."""

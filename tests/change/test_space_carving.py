@@ -377,6 +377,37 @@ def test_the_edge_of_a_roof_alone_does_not_tell_how_far_a_house_rose():
     assert raised_house(deep=CELL).low < 0.3
 
 
+SLOPE = 2.5
+CHIMNEYS = [((x, 1.0, TALL), (x + 1.0, 2.0, TALL + 2.0)) for x in (2.0, 7.0)]
+
+
+def roofed(tall, *, chimneys=False, known=False):
+    """A house whose roof is seen to a depth of 2.5 m, perhaps with chimneys of one height."""
+    roof = sheet((0, 0, tall - CELL), (LENGTH, SLOPE, tall))
+    tops = [sheet(*chimney) for chimney in CHIMNEYS if chimneys]
+    box = voxels(house(tall)[0], roof, *tops, occupied_in_other=False)
+    shared, over = box.height < TALL - CELL, box.height > tall
+    box = replace(box, occupied_in_other=shared, free_space_confirmed=over & known)
+    sky = inside(OUT["street"], ((-9, -9, tall), (30, SLOPE, HIGH)))
+    stacks = inside(*((np.subtract(low, 0.1), np.add(high, 0.1)) for low, high in CHIMNEYS))
+    return CarvingEpoch(box, lambda xyz: sky(xyz) & ~(chimneys & stacks(xyz)), nothing_met)
+
+
+def test_a_chimney_does_not_hide_that_the_roof_rose_beneath_it():
+    before, after = (roofed(tall, chimneys=True) for tall in (TALL, TALL + 1.0))
+    assert carve(before, after, CONFIG).height.middle == pytest.approx(1.0, abs=0.2)
+    with_chimneys = CONFIG.model_copy(update={"roof_width": 0.5})
+    assert carve(before, after, with_chimneys).height.middle == pytest.approx(0.0, abs=0.2)
+
+
+def test_a_chimney_that_was_taken_down_changes_no_height_and_shows_no_wall_of_a_building():
+    found = carve(roofed(TALL, chimneys=True, known=True), roofed(TALL), CONFIG)
+    assert found.height.low <= 0.0 <= found.height.high
+    assert found.confirmed == (0, 0)
+    narrow = CONFIG.model_copy(update={"roof_width": 0.5})
+    assert carve(roofed(TALL, chimneys=True, known=True), roofed(TALL), narrow).confirmed[1] > 0
+
+
 def test_a_porch_whose_top_is_known_says_nothing_of_the_house_behind_it():
     porch = sheet((0, -2, 0), (LENGTH, -1.5, 2.5))
     walls = house()

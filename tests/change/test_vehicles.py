@@ -114,6 +114,11 @@ def oval(places):
     return rectangle(places[np.linalg.norm(places, axis=1) < 0.5])
 
 
+def rounded(places, power=2.2):
+    """Corners as round as those of a small car."""
+    return rectangle(places[(np.abs(places) ** power).sum(axis=1) < 0.5**power])
+
+
 def cabin(xy):
     return np.where(np.abs(xy[:, 0] + 0.3) < 1.2, 1.5, 0.9)
 
@@ -143,10 +148,11 @@ def test_a_piece_of_a_trail_of_the_size_of_a_car_is_no_car():
     ("outline", "top", "semantic"),
     [
         (rectangle, cabin, Semantic.MOBILE),
+        (rounded, cabin, Semantic.MOBILE),
         (rectangle, lambda xy: np.full(len(xy), 1.5), Semantic.VEGETATION),
         (oval, lambda xy: 1.5 - 0.4 * np.abs(xy[:, 0]), Semantic.VEGETATION),
     ],
-    ids=["car", "hedge", "shrub"],
+    ids=["car", "car with round corners", "hedge", "shrub"],
 )
 def test_a_soft_body_with_a_cabin_is_a_car(outline, top, semantic):
     """Seats behind windows make a car as rough as leaves; its corners are found as its edges."""

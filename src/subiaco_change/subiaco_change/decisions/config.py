@@ -45,6 +45,12 @@ class BuildingLimits(StrictModel):
         description="Area of the surfaces of what was built on or taken away, whose place the other survey "
         "saw free on both sides, from which these surfaces tell the sign of a change of volume [m2]",
     )
+    sign_depth: float = Field(
+        6.0,
+        gt=0,
+        description="Depth to which what was built on or taken away is taken to lie behind its surfaces, if "
+        "these tell the sign of a change of volume [m]",
+    )
     height_surface: float = Field(
         2.0,
         ge=0,

@@ -219,8 +219,8 @@ def _building(measures: Measures, gate: float, rules: BuildingLimits) -> Decisio
         Interval(volume.low / room, volume.high / room),
     )
     known = math.isfinite(height.low)
-    up = _rise(*bounds, measures.gained_surface if known else 0.0, rules)
-    down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, rules)
+    up = _rise(*bounds, measures.gained_surface if known else 0.0, room, rules)
+    down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, room, rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
     stated = possible.widened(measures.volume_resolution)
     evidence += f" {_volume_words(stated, volume, measures, rules)}: "
@@ -292,17 +292,18 @@ def _span(height: Interval) -> str:
     return f"{height.low:+z.2f} to {height.high:+z.2f} m" if known else "not known"
 
 
-def _rise(height: Interval, volume: Interval, surface: float, rules: BuildingLimits) -> float:
+def _rise(height: Interval, volume: Interval, surface: float, room: float, rules: BuildingLimits) -> float:
     """Return by how much a rise of a building is met; that of its height needs volume or walls that carry it.
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
     the area of the surfaces of what was built on that the other epoch would have met [m2]: it tells the sign,
-    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide.
+    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide. Behind it
+    must be the volume of the limit, ``room`` [m3], to the depth of a room.
     """
     carried = volume.high >= rules.height_volume or surface >= rules.height_surface
     unsupported = applies("volume_supports_height", not carried)
     known = height.middle > -_OPPOSED and height.high - height.low <= 2.0
-    shown = surface >= rules.sign_surface and known
+    shown = surface >= max(rules.sign_surface, room / rules.sign_depth) and known
     nearer = 0.0 if applies("sign_by_surface", shown) else rules.certain
     return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, nearer))
 

@@ -583,7 +583,7 @@ BUILDING_RULES: tuple[Rule, ...] = (
         _HERE,
         "Walls and roofs of one epoch alone, whose place the other saw free on both sides, tell the sign of a"
         " change of volume: its nearer bound may then be as small as zero.",
-        ("decisions.building.sign_surface",),
+        ("decisions.building.sign_surface", "decisions.building.sign_depth"),
     ),
     Rule(
         "unseen_opposes_nothing",

@@ -60,3 +60,9 @@ class CarvingConfig(StrictModel):
         description="Largest distance from an observed top to the free space above at which the observed "
         "top is the top of the column [m]",
     )
+    roof_width: float = Field(
+        2.0,
+        ge=0,
+        description="Width of the parts of a roof from which they count for the height of a building [m]; "
+        "chimneys, parapets and party walls are narrower",
+    )

@@ -386,7 +386,15 @@ def _difference(
     maybe = (old.free & new.unknown) | (old.unknown & solid)
     reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
     volume = Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume)
-    return _Difference(volume, sure, int(confirmed[supported].sum()))
+    return _Difference(volume, sure, int(confirmed[supported & _wide(number, frame, config)].sum()))
+
+
+def _wide(number: Ints, frame: _Frame, config: CarvingConfig) -> NDArray[np.bool_]:
+    """Tell which parts (count + 1,) of an array of cells are as long as a roof is wide, and no chimneys."""
+    extents = (
+        max(box[0].stop - box[0].start, box[1].stop - box[1].start) for box in ndimage.find_objects(number)
+    )
+    return np.array([False, *(extent * frame.cell > config.roof_width for extent in extents)])
 
 
 def _of_rooms(voxels: Voxels, state: _State, frame: _Frame, config: CarvingConfig) -> Mask:
@@ -479,7 +487,7 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     more than a roof of 45 degrees falls within a column. The sky above a roof that one epoch did not see
     says nothing of that roof. A column that is open down to less than a room lost its body, which is a
     change of volume. Where few columns have free space above, those without count too, up to the highest
-    top of all. A top is known to half of a cell.
+    top of all. Chimneys, parapets and party walls are no roof. A top is known to half of a cell.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
@@ -495,10 +503,19 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     for low, high in bounds:
         if not (low[columns] > 0).any():
             return Interval(float("nan"), float("nan"))
-        known = np.minimum(high[columns], np.maximum(ceiling, low[columns]))
-        tops.append([float(np.quantile(v, 0.95)) for v in (low[columns], known)])
+        known = np.minimum(high, np.maximum(ceiling, low))
+        roofs = (_without_narrow(top, columns, frame, config) for top in (low, known))
+        tops.append([float(np.quantile(roof, 0.95)) for roof in roofs])
     (low_b, high_b), (low_a, high_a) = tops
     return Interval(low_a - high_b, high_a - low_b).widened(0.5 * frame.rise)
+
+
+def _without_narrow(top: Floats, columns: Mask, frame: _Frame, config: CarvingConfig) -> Floats:
+    """Return the tops (K,) of some columns (nx, ny) without what is narrower than a roof [m]."""
+    width = 2 * int(0.5 * config.roof_width / frame.cell) + 1
+    lowest = ndimage.minimum_filter(np.where(columns, top, np.inf), width, mode="nearest")
+    roof = ndimage.maximum_filter(np.where(columns, lowest, -np.inf), width, mode="nearest")
+    return np.asarray(roof[columns])
 
 
 @switchable("known_tops", first_argument)

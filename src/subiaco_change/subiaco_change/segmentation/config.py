@@ -332,7 +332,7 @@ class VehicleConfig(StrictModel):
         description="Fraction of the points on each side of a car that may belong to another object",
     )
     cabin_outline: float = Field(
-        0.9,
+        0.88,
         gt=0,
         le=1,
         description="Smallest area of the convex outline of a car that looks like a plant, as a fraction of "
