@@ -297,8 +297,8 @@ def _rise(height: Interval, volume: Interval, surface: float, room: float, rules
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
     the area of the surfaces of what was built on that the other epoch would have met [m2]: it tells the sign,
-    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide. Behind it
-    must be the volume of the limit, ``room`` [m3], to the depth of a room.
+    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide. To the
+    depth ``sign_depth`` behind it, ``room`` must fit: the volume of the limit [m3].
     """
     carried = volume.high >= rules.height_volume or surface >= rules.height_surface
     unsupported = applies("volume_supports_height", not carried)

@@ -390,7 +390,7 @@ def _difference(
 
 
 def _wide(number: Ints, frame: _Frame, config: CarvingConfig) -> NDArray[np.bool_]:
-    """Tell which parts (count + 1,) of an array of cells are as long as a roof is wide, and no chimneys."""
+    """Tell which parts (count + 1,) of an array of cells are longer than chimneys are wide."""
     extents = (
         max(box[0].stop - box[0].start, box[1].stop - box[1].start) for box in ndimage.find_objects(number)
     )
