@@ -349,16 +349,18 @@ def test_a_storey_on_a_house_with_walls_on_all_sides_has_its_volume():
     assert found.height.low > 0.8 * TALL
 
 
-def raised_house(deep):
+def raised_house(deep, *, wide=LENGTH, unseen=0.0):
     """Change of height of a house that rose by 3 m, of which the street sees the roof up to a depth [m].
 
-    Through its windows it sees ceilings; above them nothing is known of either survey.
+    Through its windows it sees ceilings; above them nothing is known of either survey. ``wide``: extent of
+    the roof along the street [m]. ``unseen``: height above the old roof below which the earlier survey saw no
+    sky [m].
     """
     ceiling = sheet((CELL, deep, 2.5), (LENGTH - CELL, DEPTH, 3.0))
     sides = []
-    for tall in (TALL, 2 * TALL):
-        roof = sheet((0, 0, tall - CELL), (LENGTH, deep, tall))
-        sky = inside(OUT["street"], ((-9, -9, tall), (30, deep + 0.5 * CELL, HIGH)))
+    for tall, hidden in ((TALL, unseen), (2 * TALL, 0.0)):
+        roof = sheet((0, 0, tall - CELL), (wide, deep, tall))
+        sky = inside(OUT["street"], ((-9, -9, tall + hidden), (30, deep + 0.5 * CELL, HIGH)))
         made = epoch([ceiling], sky)
         sides.append(replace(made, voxels=made.voxels.add(voxels(roof, occupied_in_other=False))))
     raised, lowered = (carve(*pair, CONFIG).height for pair in (sides, sides[::-1]))
@@ -371,6 +373,18 @@ def test_a_part_of_the_roof_tells_how_far_a_house_rose_though_ceilings_were_seen
     assert (found.low, found.high) == pytest.approx((TALL, TALL), abs=0.3)
     with rules_switched_off(["known_tops"]):
         assert raised_house(deep=3 * CELL).low < 0.3
+
+
+def test_a_roof_rose_by_what_is_certain_where_the_sky_right_above_the_old_one_was_not_seen():
+    found = raised_house(deep=3 * CELL, unseen=1.5)
+    assert found.low == pytest.approx(TALL - 1.5, abs=0.4)
+    assert found.high == pytest.approx(TALL, abs=0.3)
+    with rules_switched_off(["known_tops"]):
+        assert raised_house(deep=3 * CELL, unseen=1.5).low < 0.3
+
+
+def test_what_rose_for_certain_and_is_as_small_as_a_chimney_does_not_tell_how_far_a_house_rose():
+    assert raised_house(deep=3 * CELL, wide=2.0, unseen=1.5).low < 0.3
 
 
 def test_the_edge_of_a_roof_alone_does_not_tell_how_far_a_house_rose():

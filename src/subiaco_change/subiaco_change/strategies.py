@@ -128,7 +128,7 @@ def without_lod_floor(decisions: DecisionConfig) -> DecisionConfig:
 
 def class_instances(found: Classified) -> tuple[Codes, Instances]:
     """Return the classes of points as they are, and instances by the rules of every class."""
-    return found.result.semantic, segment(found.upright, found.result, found.config)
+    return segment(found.upright, found.result, found.config)
 
 
 def connected_components(found: Classified) -> tuple[Codes, Instances]:

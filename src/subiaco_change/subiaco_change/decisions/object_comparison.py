@@ -18,6 +18,7 @@ from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, 
 from subiaco_change.decisions.split_merge import (
     assign_fragments,
     join_building_extensions,
+    join_hanging_parts,
     join_hidden_walls,
     part_hardly_overlapping,
     split_hedge_segments,
@@ -88,7 +89,8 @@ def compare_objects(
     changes = split_row_houses(join_building_extensions(changes, rules), rules)
     changes = split_hedge_segments(changes, rules)
     changes = join_hidden_walls(changes, rules)
-    return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
+    changes = assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
+    return join_hanging_parts(changes)
 
 
 def _with_standing(space: KnownSpace, view: EpochView) -> KnownSpace:

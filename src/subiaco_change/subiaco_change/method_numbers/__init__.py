@@ -62,6 +62,7 @@ from subiaco_change.method_numbers.registration_numbers import (
 from subiaco_change.method_numbers.segmentation_numbers import (
     InstancesNumbers,
     RaisedGroundNumbers,
+    RoofStructuresNumbers,
     SpacingNumbers,
     SparseNumbers,
     ThinTrailsNumbers,
@@ -115,6 +116,7 @@ class MethodNumbers(StrictModel):
     vehicle_parts: VehiclePartsNumbers = VehiclePartsNumbers()
     instances: InstancesNumbers = InstancesNumbers()
     raised_ground: RaisedGroundNumbers = RaisedGroundNumbers()
+    roof_structures: RoofStructuresNumbers = RoofStructuresNumbers()
     thin_trails: ThinTrailsNumbers = ThinTrailsNumbers()
     trail_ends: TrailEndsNumbers = TrailEndsNumbers()
     trail_shape: TrailShapeNumbers = TrailShapeNumbers()

@@ -609,6 +609,11 @@ class SpaceCarvingNumbers(StrictModel):
         description="Depth of a voxel below the top edge to which the voxel belongs [m]",
     )
     fewest_columns: int = Field(4, description="Number of columns below which no height is measured")
+    changed_columns: float = Field(
+        0.1,
+        description="Fraction of the columns of a building that adjoin each other, and rose or fell for"
+        " certain, from which they tell how the height changed; an area as large as a room is enough",
+    )
     roof_normal: float = Field(
         0.7,
         description="Smallest vertical component of the normal of a roof, as a ratio",

@@ -16,6 +16,21 @@ class InstancesNumbers(StrictModel):
     )
 
 
+class RoofStructuresNumbers(StrictModel):
+    """Numbers of ``segmentation/roof_structures.py``."""
+
+    cell: float = Field(0.5, description="Edge of the columns in which a part lies over a building [m]")
+    lowest: float = Field(
+        2.5, description="Height above the ground above which an object that hangs over a building begins [m]"
+    )
+    share: float = Field(
+        0.5, description="Smallest share of the points of an object that lie over a building"
+    )
+    foot_quantile: float = Field(
+        0.02, description="Fraction of the points of an object that may lie below where it begins"
+    )
+
+
 class RaisedGroundNumbers(StrictModel):
     """Numbers of ``segmentation/raised_ground.py``."""
 

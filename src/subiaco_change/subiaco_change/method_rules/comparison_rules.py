@@ -562,6 +562,18 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "hanging_parts",
+        _HERE,
+        "What begins high above the ground over a building joins its row: a chimney, a dormer, a ceiling seen"
+        " through a window.",
+        (
+            "method_numbers.roof_structures.cell",
+            "method_numbers.roof_structures.lowest",
+            "method_numbers.roof_structures.foot_quantile",
+            "method_numbers.split_merge.inside_share",
+        ),
+    ),
+    Rule(
         "fragments_of_changed_objects",
         _HERE,
         "A fragment of another class that lies in the place of a changed object carries its label.",
@@ -656,7 +668,11 @@ BUILDING_RULES: tuple[Rule, ...] = (
         "known_tops",
         _HERE,
         "The height rests on the columns whose tops both epochs know, where these are the highest ones.",
-        ("measures.carving.known_top", "measures.carving.known_area"),
+        (
+            "measures.carving.known_top",
+            "measures.carving.known_area",
+            "method_numbers.space_carving.changed_columns",
+        ),
     ),
     Rule(
         "roof_gap",

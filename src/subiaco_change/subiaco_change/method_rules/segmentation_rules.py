@@ -203,6 +203,18 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "roof_structures",
+        _HERE,
+        "What begins high above the ground over a building, and is as high as its roof, is a part of it: a"
+        " chimney, a dormer, a set-back storey.",
+        (
+            "method_numbers.roof_structures.cell",
+            "method_numbers.roof_structures.lowest",
+            "method_numbers.roof_structures.share",
+            "method_numbers.roof_structures.foot_quantile",
+        ),
+    ),
+    Rule(
         "objects_under_roofs",
         _HERE,
         "An object below a roof with clearance above it is no part of the building: a car under a carport.",

@@ -45,6 +45,7 @@ Cells = NDArray[np.bool_]
 
 _TOP = NUMBERS.space_carving.top_tolerance
 _FEW = NUMBERS.space_carving.fewest_columns
+_MANY = NUMBERS.space_carving.changed_columns
 _LOOKED = NUMBERS.space_carving.observed_share
 _REFUTED = NUMBERS.space_carving.free_share
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
@@ -525,15 +526,27 @@ def _tightly_known(
     """Return the columns (nx, ny) whose tops both epochs know, if they are the highest ones in both.
 
     The street shows the front of a raised house and some of its roof. Behind them, ceilings were seen through
-    windows, below space of which nothing is known.
+    windows, below space of which nothing is known. Columns that certainly rose or fell count too, by however
+    much, where many of them adjoin: a chimney has few.
     """
     known = columns & np.logical_and(*(high - low <= config.known_top for low, high in bounds))
+    (low_b, high_b), (low_a, high_a) = bounds
+    least = min(config.known_area / frame.cell**2, _MANY * np.count_nonzero(columns))
+    for above, below in ((low_a, high_b), (low_b, high_a)):
+        known |= _large(columns & (above >= below + frame.rise), least)
     if np.count_nonzero(known) * frame.cell**2 < config.known_area:
         return columns
     highest = [
         np.quantile(low[known], 0.95) >= np.quantile(low[columns], 0.95) - frame.rise for low, _ in bounds
     ]
     return known if all(highest) else columns
+
+
+def _large(columns: Mask, least: float) -> Mask:
+    """Keep of some columns (nx, ny) those that adjoin others, and are as many as ``least`` together."""
+    number, count = ndimage.label(columns, np.ones((3, 3)))
+    enough = np.bincount(number.ravel(), minlength=count + 1) >= least
+    return np.asarray(columns & enough[number])
 
 
 def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[Floats, Floats]:

@@ -27,6 +27,7 @@ from subiaco_change.segmentation.object_rows import (
     split_row,
     split_rows,
 )
+from subiaco_change.segmentation.roof_structures import buildings_beneath
 from subiaco_geo.clouds import PointCloud, voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -123,12 +124,15 @@ class InstanceConfig(StrictModel):
     )
 
 
-def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -> NDArray[np.int32]:
-    """Return the instance (N,) of every point, -1 for ground, trails of moving objects, and fragments.
+def segment(
+    cloud: PointCloud, result: SemanticResult, config: InstanceConfig
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Return the class and the instance (N,) of every point.
 
-    Ids count from 0 by class and then from the south-west, so that they do not
-    depend on the order of the points.
+    The instance is -1 for ground, trails of moving objects, and fragments. Ids count from 0 by class and then
+    from the south-west, so that they do not depend on the order of the points.
     """
+    semantic_of, tall = result.semantic.copy(), result.height_above_ground.astype(np.float64)
     instance = np.full(len(cloud), -1, dtype=np.int64)
     ground = cloud.xyz[result.semantic == Semantic.GROUND, :2]
     split: dict[Semantic, Callable[[Floats, Floats, InstanceConfig], Ints]] = {
@@ -142,13 +146,20 @@ def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -
         members = np.flatnonzero((result.semantic == semantic) & ~result.moving)
         if len(members) == 0:
             continue
-        labels = function(cloud.xyz[members], result.height_above_ground[members].astype(np.float64), config)
+        xyz, height = cloud.xyz[members], tall[members]
+        labels = function(xyz, height, config)
+        if semantic in (Semantic.VEGETATION, Semantic.OTHER):
+            built = np.flatnonzero((semantic_of == Semantic.BUILDING) & (instance >= 0))
+            house = buildings_beneath(labels, xyz, height, cloud.xyz[built, :2], tall[built], instance[built])
+            of_house = house >= 0
+            instance[members[of_house]], semantic_of[members[of_house]] = house[of_house], Semantic.BUILDING
+            members, labels = members[~of_house], labels[~of_house]
         smallest = config.min_points[position] * (0.25 / config.leaf) ** 2
         fewest = _FEWEST_OF_PLANT if semantic is Semantic.VEGETATION else _FEWEST
         labels = _renumber(cloud.xyz[members], labels, max(fewest, round(smallest)))
         instance[members] = np.where(labels >= 0, labels + following, -1)
-        following += int(labels.max()) + 1
-    return instance.astype(np.int32)
+        following += int(labels.max(initial=-1)) + 1
+    return semantic_of, instance.astype(np.int32)
 
 
 def _renumber(xyz: Floats, labels: Ints, smallest: int) -> Ints:

@@ -47,11 +47,11 @@ def label_scene(survey: SurveyMap, config: InjectionConfig) -> SourceScene:
     observer = make_observer(survey, EvidenceConfig())
     passes, moved = (found(cloud.world()) for found in (observer.passes, observer.moved))
     semantic = label_points(upright, config.semantics, passes, moved=moved)
-    instance = segment(upright, semantic, config.instances.model_copy(update={"leaf": config.leaf}))
+    classes, instance = segment(upright, semantic, config.instances.model_copy(update={"leaf": config.leaf}))
     for number, members in _members(instance, instance >= 0).items():
         if _is_trail(members, passes, moved, config):
             instance[instance == number] = TRAIL
-    return SourceScene(cloud, semantic.semantic, instance)
+    return SourceScene(cloud, classes, instance)
 
 
 def _is_trail(members: Ints, passes: Floats | None, moved: Floats | None, config: InjectionConfig) -> bool:
