@@ -248,11 +248,11 @@ def report(samples: Iterable[Sample], pictures: Path | None) -> None:
         peers = {"plain rules": threshold_rules(sample.cloud), "CSF + plain": cloth_rules(sample.cloud)}
         start = time.process_time()
         result = label_points(sample.cloud, SemanticsConfig(), sample.passed)
-        instance = segment(sample.cloud, result, InstanceConfig())
+        semantic, instance = segment(sample.cloud, result, InstanceConfig())
         spent = time.process_time() - start
-        matrix = confusion(sample.truth, result.semantic)
+        matrix = confusion(sample.truth, semantic)
         total += matrix
-        found_objects = panoptic(sample, result.semantic, instance)
+        found_objects = panoptic(sample, semantic, instance)
         matches += found_objects
         head = f"| {sample.name} | {len(sample.cloud)} |"
         print(f"{head} ours | {row(ious(matrix))} | {spent:.1f} | {qualities(found_objects)} |")
@@ -321,7 +321,7 @@ def draw_steps(sample: Sample, path: Path, half: float = 30.0) -> None:
     import matplotlib.pyplot as plt
 
     result = label_points(sample.cloud, SemanticsConfig(), sample.passed)
-    instance = segment(sample.cloud, result, InstanceConfig())
+    _, instance = segment(sample.cloud, result, InstanceConfig())
     moved = np.flatnonzero(result.moving)
     middle = (
         sample.cloud.xyz[moved[len(moved) // 2], :2] if len(moved) else np.median(sample.cloud.xyz[:, :2], 0)

@@ -28,7 +28,7 @@ SCENE = Scene()
 def labelled():
     cloud = SCENE.survey(1).cloud
     result = label_points(cloud, SemanticsConfig())
-    return cloud, result, segment(cloud, result, InstanceConfig())
+    return cloud, result, segment(cloud, result, InstanceConfig())[1]
 
 
 def near(cloud, things, maker):
@@ -82,7 +82,7 @@ def test_cars_bumper_to_bumper_stay_apart():
     scene = Scene(houses=[], trees=[], poles=[], cars=[(0, 0), (5.4, 0), (10.8, 0)])
     cloud = scene.survey(3).cloud
     result = label_points(cloud, SemanticsConfig())
-    instance = segment(cloud, result, InstanceConfig())
+    _, instance = segment(cloud, result, InstanceConfig())
     assert len(np.unique(instance[(result.semantic == Semantic.MOBILE) & (instance >= 0)])) == 3
 
 
@@ -92,7 +92,7 @@ def test_parked_cars_a_hand_apart_are_one_object_each(step, seed):
     cars = [(k * step[0], k * step[1]) for k in range(3)]
     cloud = Scene(houses=[], trees=[], poles=[], cars=cars).survey(seed).cloud
     result = label_points(cloud, SemanticsConfig())
-    instance = segment(cloud, result, InstanceConfig())
+    _, instance = segment(cloud, result, InstanceConfig())
     assert len(np.unique(instance[(result.semantic == Semantic.MOBILE) & (instance >= 0)])) == 3
 
 
@@ -100,7 +100,7 @@ def test_two_touching_crowns_are_two_trees():
     scene = Scene(houses=[], cars=[], poles=[], trees=[(0, 0, 8, 2.3), (5, 0, 8, 2.3)])
     cloud = scene.survey(3).cloud
     result = label_points(cloud, SemanticsConfig())
-    instance = segment(cloud, result, InstanceConfig())
+    _, instance = segment(cloud, result, InstanceConfig())
     ids = instance[result.semantic == Semantic.VEGETATION]
     assert len(np.unique(ids[ids >= 0])) == 2
 
@@ -207,7 +207,7 @@ def test_a_tile_with_its_overlap_gets_the_labels_and_objects_of_the_whole(labell
     tile = np.flatnonzero(x < 10.0)
     part = cloud.select(tile)
     result = label_points(part, SemanticsConfig())
-    mine = segment(part, result, InstanceConfig())
+    _, mine = segment(part, result, InstanceConfig())
     core = x[tile] < 0.0
     assert (result.semantic == whole.semantic[tile])[core].mean() > 0.998
     assert np.abs(result.height_above_ground - whole.height_above_ground[tile])[core].max() < 0.02

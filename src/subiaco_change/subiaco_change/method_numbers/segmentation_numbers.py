@@ -24,7 +24,8 @@ class RoofStructuresNumbers(StrictModel):
         2.5, description="Height above the ground above which an object that hangs over a building begins [m]"
     )
     share: float = Field(
-        0.5, description="Smallest share of the points of an object that lie over a building"
+        0.5,
+        description="Fraction of the points of an object over a building from which it is a part of it",
     )
     foot_quantile: float = Field(
         0.02, description="Fraction of the points of an object that may lie below where it begins"

@@ -1,7 +1,7 @@
 """Parts of roofs that look like something else: chimneys, dormers, railings.
 
-The class of a point comes from the points around it, and what stands on a roof is as rough and as small as a
-bush. Where it begins tells: a plant stands on the ground, or its crown reaches beyond the house beside it.
+The class of a point comes from the points around it, and a chimney is as rough and as small as a bush. Where
+it begins tells: a plant grows from the ground, or its crown reaches beyond the house beside it.
 """
 
 from __future__ import annotations
