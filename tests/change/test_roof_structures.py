@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_measures import block, change_of, obj
 
-from subiaco_change.decisions.split_merge import join_hanging_parts
+from subiaco_change.decisions.hanging_parts import join_hanging_parts
 from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_change.segmentation.roof_structures import buildings_beneath
 from subiaco_geo.codes import Change, Semantic

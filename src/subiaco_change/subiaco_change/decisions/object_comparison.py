@@ -14,11 +14,11 @@ from subiaco_change.decisions.confidence_config import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
+from subiaco_change.decisions.hanging_parts import join_hanging_parts
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.split_merge import (
     assign_fragments,
     join_building_extensions,
-    join_hanging_parts,
     join_hidden_walls,
     part_hardly_overlapping,
     split_hedge_segments,

@@ -31,19 +31,13 @@ from subiaco_change.instance_splitting.merged_instances import (
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, no_decision, switchable
-from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
-from subiaco_change.quantiles import quantile_of
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
-from subiaco_geo.frames import Floats, Ints
 
 _WHOLE = NUMBERS.split_merge.whole_share
 _WALL = NUMBERS.split_merge.wall_reach
 _WITHIN = NUMBERS.split_merge.inside_share
 _HARDLY = NUMBERS.split_merge.least_observed
-_CELL = NUMBERS.roof_structures.cell
-_FOOT = NUMBERS.roof_structures.foot_quantile
-_HANGING = NUMBERS.roof_structures.lowest
 
 
 @switchable("building_extensions", first_argument)
@@ -206,7 +200,7 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
             joined.setdefault(best, []).append(number)
     gone = {number for numbers in joined.values() for number in numbers}
     return [
-        _with_parts(change, [changes[k] for k in joined.get(i, [])])
+        with_fragments(change, [changes[k] for k in joined.get(i, [])])
         for i, change in enumerate(changes)
         if i not in gone
     ]
@@ -405,65 +399,14 @@ def assign_fragments(
             joined.setdefault(host, []).append(number)
     gone = {number for numbers in joined.values() for number in numbers}
     return [
-        _with_parts(change, [changes[k] for k in joined.get(number, [])])
+        with_fragments(change, [changes[k] for k in joined.get(number, [])])
         for number, change in enumerate(changes)
         if number not in gone
     ]
 
 
-@switchable("hanging_parts", first_argument)
-def join_hanging_parts(changes: list[ObjectChange]) -> list[ObjectChange]:
-    """Let what hangs over a building, or in it, join the row of the building.
-
-    A chimney, a dormer and a ceiling seen through a window are as rough and as small as plants, and begin
-    higher than a room. They are smaller than the building, which is there in the same epochs. Statistics stay
-    those of the building without them.
-    """
-    hosts = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
-    columns = [_columns_of([(changes[i].before, changes[i].after)[epoch] for i in hosts]) for epoch in (0, 1)]
-    joined: dict[int, list[int]] = {}
-    for number, change in enumerate(changes):
-        if change.semantic not in (Semantic.VEGETATION, Semantic.OTHER):
-            continue
-        voxels = [join_voxels(side) for side in (change.before, change.after)]
-        height = np.concatenate([v.height for v in voxels])
-        if quantile_of(height, _FOOT) < _HANGING:
-            continue
-        over = np.concatenate([_owners(v.xyz, c) for v, c in zip(voxels, columns, strict=True)])
-        inside = over[over >= 0]
-        if len(inside) < _WITHIN * len(over):
-            continue
-        host = hosts[int(np.bincount(inside).argmax())]
-        sides = zip(voxels, (changes[host].before, changes[host].after), strict=True)
-        if all(len(own) <= len(join_voxels(theirs)) for own, theirs in sides):
-            joined.setdefault(host, []).append(number)
-    gone = {number for numbers in joined.values() for number in numbers}
-    return [
-        _with_parts(change, [changes[k] for k in joined.get(i, [])])
-        for i, change in enumerate(changes)
-        if i not in gone
-    ]
-
-
-def _columns_of(bodies: Sequence[Sequence[ObjectInstance]]) -> tuple[Ints, Ints]:
-    """Return the columns (M,) of bodies, sorted, and the body (M,) that each is of."""
-    keys = [np.unique(column_keys(join_voxels(body).xyz, _CELL)) for body in bodies]
-    owner = np.repeat(np.arange(len(keys)), [len(k) for k in keys])
-    built, first = np.unique(np.concatenate([*keys, np.zeros(0, dtype=np.int64)]), return_index=True)
-    return built, owner[first]
-
-
-def _owners(xyz: Floats, columns: tuple[Ints, Ints]) -> Ints:
-    """Return the body (N,) in whose columns places (N, 3) lie, -1 for none."""
-    built, owner = columns
-    if len(built) == 0:
-        return np.full(len(xyz), -1, dtype=np.int64)
-    keys = column_keys(xyz, _CELL)
-    slot = np.minimum(np.searchsorted(built, keys), len(built) - 1)
-    return np.where(built[slot] == keys, owner[slot], -1)
-
-
-def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
+def with_fragments(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
+    """Return a row with the points of other rows, and its own decision and measures."""
     before = (*change.before, *(t for f in fragments for t in f.before))
     after = (*change.after, *(t for f in fragments for t in f.after))
     kind = match_kind(len(before), len(after))

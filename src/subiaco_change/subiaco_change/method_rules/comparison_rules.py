@@ -570,7 +570,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.roof_structures.cell",
             "method_numbers.roof_structures.lowest",
             "method_numbers.roof_structures.foot_quantile",
-            "method_numbers.split_merge.inside_share",
+            "method_numbers.roof_structures.share",
         ),
     ),
     Rule(
