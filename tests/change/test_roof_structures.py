@@ -65,14 +65,13 @@ def test_the_building_of_a_thing_does_not_depend_on_the_order_of_points(seed):
     assert dict(zip(labels[order].tolist(), owner.tolist(), strict=True)) == {0: 0, 1: -1, 2: 0}
 
 
-def rows(*things, label=Change.INCREASED):
-    """A house with a label, and things of the class of plants beside it or in it."""
-    house = obj(HOUSE, 0, Semantic.BUILDING)
-    changes = [change_of((house,), (house,), Semantic.BUILDING, label)]
-    for number, thing in enumerate(things, 1):
-        plant = obj(thing, number, Semantic.VEGETATION)
-        changes.append(change_of((plant,), (), Semantic.VEGETATION, Change.REMOVED))
-    return changes
+def rows(thing, label=Change.INCREASED):
+    """A house with a label, and a thing of the class of plants beside it or in it."""
+    house, plant = obj(HOUSE, 0, Semantic.BUILDING), obj(thing, 1, Semantic.VEGETATION)
+    return [
+        change_of((house,), (house,), Semantic.BUILDING, label),
+        change_of((plant,), (), Semantic.VEGETATION, Change.REMOVED),
+    ]
 
 
 @pytest.mark.parametrize("label", [Change.INCREASED, Change.UNCHANGED, Change.UNOBSERVED])

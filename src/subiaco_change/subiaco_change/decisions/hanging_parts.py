@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from subiaco_change.decisions.object_decision import ObjectChange
-from subiaco_change.decisions.split_merge import with_fragments
+from subiaco_change.decisions.split_merge import join_rows
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.objects.column_volumes import column_keys
-from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.objects.voxel_objects import Voxels, join_voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -30,8 +30,9 @@ def join_hanging_parts(changes: list[ObjectChange]) -> list[ObjectChange]:
     higher than a room. They are smaller than the building, which is there in the same epochs. Statistics stay
     those of the building without them.
     """
-    hosts = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
-    columns = [_columns_of([(changes[i].before, changes[i].after)[epoch] for i in hosts]) for epoch in (0, 1)]
+    hosts = [number for number, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
+    bodies = [[join_voxels(side) for side in (changes[i].before, changes[i].after)] for i in hosts]
+    columns = [_columns_of([body[epoch] for body in bodies]) for epoch in (0, 1)]
     joined: dict[int, list[int]] = {}
     for number, change in enumerate(changes):
         if change.semantic not in (Semantic.VEGETATION, Semantic.OTHER):
@@ -44,21 +45,15 @@ def join_hanging_parts(changes: list[ObjectChange]) -> list[ObjectChange]:
         inside = over[over >= 0]
         if len(inside) < _OVER * len(over):
             continue
-        host = hosts[int(np.bincount(inside).argmax())]
-        sides = zip(voxels, (changes[host].before, changes[host].after), strict=True)
-        if all(len(own) <= len(join_voxels(theirs)) for own, theirs in sides):
-            joined.setdefault(host, []).append(number)
-    gone = {number for numbers in joined.values() for number in numbers}
-    return [
-        with_fragments(change, [changes[k] for k in joined.get(i, [])])
-        for i, change in enumerate(changes)
-        if i not in gone
-    ]
+        most = int(np.bincount(inside).argmax())
+        if all(len(own) <= len(body) for own, body in zip(voxels, bodies[most], strict=True)):
+            joined.setdefault(hosts[most], []).append(number)
+    return join_rows(changes, joined)
 
 
-def _columns_of(bodies: Sequence[Sequence[ObjectInstance]]) -> tuple[Ints, Ints]:
+def _columns_of(bodies: Sequence[Voxels]) -> tuple[Ints, Ints]:
     """Return the columns (M,) of bodies, sorted, and the body (M,) that each is of."""
-    keys = [np.unique(column_keys(join_voxels(body).xyz, _CELL)) for body in bodies]
+    keys = [np.unique(column_keys(body.xyz, _CELL)) for body in bodies]
     owner = np.repeat(np.arange(len(keys)), [len(k) for k in keys])
     built, first = np.unique(np.concatenate([*keys, np.zeros(0, dtype=np.int64)]), return_index=True)
     return built, owner[first]

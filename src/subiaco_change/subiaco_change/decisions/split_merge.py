@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -198,12 +198,7 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
         best = max(shares, key=lambda i: shares[i], default=number)
         if shares.get(best, 0.0) >= _WITHIN:
             joined.setdefault(best, []).append(number)
-    gone = {number for numbers in joined.values() for number in numbers}
-    return [
-        with_fragments(change, [changes[k] for k in joined.get(i, [])])
-        for i, change in enumerate(changes)
-        if i not in gone
-    ]
+    return join_rows(changes, joined)
 
 
 def _is_reshaped(change: ObjectChange) -> bool:
@@ -397,16 +392,21 @@ def assign_fragments(
         host = hosts.get((1 - epoch, other.instance))
         if host is not None:
             joined.setdefault(host, []).append(number)
+    return join_rows(changes, joined)
+
+
+def join_rows(changes: Sequence[ObjectChange], joined: Mapping[int, Sequence[int]]) -> list[ObjectChange]:
+    """Let rows join others by position; every row that is left keeps its own decision and measures."""
     gone = {number for numbers in joined.values() for number in numbers}
     return [
-        with_fragments(change, [changes[k] for k in joined.get(number, [])])
+        _with_fragments(change, [changes[k] for k in joined.get(number, [])])
         for number, change in enumerate(changes)
         if number not in gone
     ]
 
 
-def with_fragments(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
-    """Return a row with the points of other rows, and its own decision and measures."""
+def _with_fragments(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
+    """Return a row with the points of other rows."""
     before = (*change.before, *(t for f in fragments for t in f.before))
     after = (*change.after, *(t for f in fragments for t in f.after))
     kind = match_kind(len(before), len(after))

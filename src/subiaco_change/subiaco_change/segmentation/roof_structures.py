@@ -63,7 +63,9 @@ def buildings_beneath(
         if len(over) < _OVER * len(members) or quantile_of(height[members], _FOOT) < _LOWEST:
             continue
         most = int(np.bincount(over).argmax())
+        if len(members) >= size[most]:
+            continue
         roof = quantile_of(top_of_cell[of_cell == most], 0.95)
-        if len(members) < size[most] and quantile_of(height[members], 1.0 - _FOOT) >= roof:
+        if quantile_of(height[members], 1.0 - _FOOT) >= roof:
             owner[members] = most
     return owner
