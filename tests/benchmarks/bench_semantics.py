@@ -266,7 +266,7 @@ def report(samples: Iterable[Sample], pictures: Path | None) -> None:
         if sample.name.startswith("isprs"):
             print(f"  {sample.name}: total error {filter_errors(sample, result)}")
         if pictures is not None:
-            draw(sample, result, pictures / f"{sample.name.replace(' ', '_')}.png")
+            draw(sample, semantic, pictures / f"{sample.name.replace(' ', '_')}.png")
     print(f"| all pooled | {total.sum()} | ours | {row(ious(total))} | | {qualities(matches)} |")
     print("confusion, rows true:\n" + str(total))
 
@@ -291,19 +291,19 @@ COLOURS = np.array(
 )
 
 
-def draw(sample: Sample, result: SemanticResult, path: Path) -> None:
+def draw(sample: Sample, semantic: NDArray[np.uint8], path: Path) -> None:
     """Truth, labels, and wrong points from above (highest point of each pixel)."""
     import matplotlib.pyplot as plt
 
     truth = np.where(sample.truth == UNKNOWN, 5, sample.truth)
-    wrong = (sample.truth != UNKNOWN) & (sample.truth != result.semantic)
+    wrong = (sample.truth != UNKNOWN) & (sample.truth != semantic)
     figure, axes = plt.subplots(1, 3, figsize=(21, 8), sharex=True, sharey=True)
     order = np.argsort(sample.cloud.xyz[:, 2])
     x, y = sample.cloud.xyz[order, :2].T
     shown = (
         COLOURS[truth],
-        COLOURS[result.semantic],
-        np.where(wrong[:, None], COLOURS[result.semantic], 235),
+        COLOURS[semantic],
+        np.where(wrong[:, None], COLOURS[semantic], 235),
     )
     for axis, colour, title in zip(
         axes, shown, ("truth", "labels", "wrong, coloured as labelled"), strict=True
