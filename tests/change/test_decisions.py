@@ -148,11 +148,11 @@ def test_what_may_have_changed_where_nobody_looked_does_not_oppose_what_was_seen
 def test_a_label_that_rests_on_surfaces_says_so():
     bounds = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(1.0, 40.0)}
     reason = decided(**bounds, gained_surface=6.0).reason
-    assert "6 m² of new walls and roofs lie where the earlier survey saw free space on both sides" in reason
+    assert "6 m² of new walls stand where the earlier survey saw free space on both sides" in reason
     turned = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(-40.0, -1.0)}
-    assert "6 m² of former walls and roofs lie where the later" in decided(**turned, lost_surface=6.0).reason
+    assert "6 m² of former walls stood where the later" in decided(**turned, lost_surface=6.0).reason
     sure = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(20.0, 40.0)}
-    assert "walls and roofs" not in decided(**sure, gained_surface=6.0).reason
+    assert "walls stand" not in decided(**sure, gained_surface=6.0).reason
 
 
 def test_a_building_of_which_both_surveys_share_nothing_is_decided_by_its_bounds():

@@ -30,6 +30,11 @@ def voxels(*sheets, occupied_in_other=True):
     return Voxels(np.zeros(count, np.int64), xyz, np.tile([0.0, 0.0, 1.0], (count, 1)), xyz[:, 2], *flags)
 
 
+def walls_of(sheets):
+    """The voxels with the normals of walls that face the street."""
+    return replace(sheets, normal=np.tile([0.0, -1.0, 0.0], (len(sheets), 1)))
+
+
 def inside(*boxes):
     """Tell places that lie in a box (low, high), a hand's breadth of it taken off."""
 
@@ -137,7 +142,7 @@ def test_a_surface_whose_place_the_other_survey_did_not_observe_is_no_change_of_
     found = carve(before, after, CONFIG)
     assert found.volume.low > 0
     assert found.confirmed == (0, 0)
-    known = replace(after.voxels, free_space_confirmed=~after.voxels.occupied_in_other)
+    known = replace(walls_of(after.voxels), free_space_confirmed=~after.voxels.occupied_in_other)
     gained, lost = carve(before, replace(after, voxels=known), CONFIG).confirmed
     assert gained > 50
     assert lost == 0
@@ -286,10 +291,14 @@ def test_a_small_new_roof_has_a_volume_at_whatever_height_within_a_cell_it_lies(
     assert carve(before, after, CONFIG).volume.low == pytest.approx(1.5 * height, abs=1.5 * 0.3)
 
 
-@pytest.mark.parametrize(("tall", "told"), [(TALL, True), (1.5, False)], ids=["a wing", "a fence"])
-def test_new_surfaces_tell_the_sign_where_they_are_as_high_as_a_room(tall, told):
-    """Both stand where the other survey saw free space on both sides."""
-    new = voxels(sheet((LENGTH, 1, 0), (LENGTH + 4, 1 + CELL, tall)), occupied_in_other=False)
+@pytest.mark.parametrize(
+    ("tall", "kind", "told"),
+    [(TALL, walls_of, True), (1.5, walls_of, False), (TALL, lambda sheets: sheets, False)],
+    ids=["a wing", "a fence", "a ceiling"],
+)
+def test_new_walls_tell_the_sign_where_they_are_as_high_as_a_room(tall, kind, told):
+    """All stand where the other survey saw free space on both sides."""
+    new = kind(voxels(sheet((LENGTH, 1, 0), (LENGTH + 4, 1 + CELL, tall)), occupied_in_other=False))
     new = replace(new, free_space_confirmed=np.ones(len(new), dtype=bool))
     old = voxels(*house())
     open_ = inside(((LENGTH, -20, 0), (LENGTH + 20, 20, 20)))
@@ -387,8 +396,71 @@ def test_what_rose_for_certain_and_is_as_small_as_a_chimney_does_not_tell_how_fa
     assert raised_house(deep=3 * CELL, wide=2.0, unseen=1.5).low < 0.3
 
 
+def test_a_party_wall_of_unknown_height_does_not_hide_how_far_a_roof_rose():
+    """The wall is higher than the roof, and narrower than roofs are. Ceilings were seen behind."""
+    over = ((LENGTH - CELL, -9, TALL + 4.5), (30, 8.0, HIGH)), ((-9, 4.25, TALL + 3.5), (30, 8.0, HIGH))
+    ceilings = sheet((CELL, 4.0, 2.0), (6.0, DEPTH, 2.5))
+    party_wall = sheet((LENGTH - CELL, 0, 0), (LENGTH, DEPTH, TALL + 2.5))
+    chimney = sheet((2.0, 1.0, 0), (2.0 + CELL, 1.0 + CELL, TALL + 5.0))
+    sides = []
+    for tall in (TALL, TALL + 1.0):
+        roof = sheet((0, 0, tall - CELL), (LENGTH - CELL, 4.0, tall))
+        sky = inside(OUT["street"], ((-9, -9, tall), (LENGTH - CELL, 4.25, HIGH)), *over)
+        box = voxels(ceilings, party_wall, chimney).add(voxels(roof, occupied_in_other=False))
+        sides.append(CarvingEpoch(box, sky, nothing_met))
+    found = carve(*sides, CONFIG).height
+    assert (found.low, found.high) == pytest.approx((1.0, 1.0), abs=0.3)
+
+
 def test_the_edge_of_a_roof_alone_does_not_tell_how_far_a_house_rose():
     assert raised_house(deep=CELL).low < 0.3
+
+
+def set_back(tall, wide=LENGTH - 2, *, looked=True, stood=0.0):
+    """Change of height of a block on whose flat roof a storey stands 3 m back from the street.
+
+    The street sees the edge of the roof and the front of the storey. ``tall``, ``wide``: of the front [m].
+    ``looked``: whether the earlier survey saw that the place was free. ``stood``: height above the roof of
+    what it saw at the place [m].
+    """
+    edge = sheet((0, 0, TALL - CELL), (LENGTH, 3 * CELL, TALL))
+    ceilings = sheet((CELL, 3 * CELL, TALL - CELL), (LENGTH - CELL, DEPTH, TALL))
+    front = ((1.0, 3.0, TALL), (1.0 + wide, 3.0 + CELL, TALL + tall))
+    old = voxels(edge, ceilings, sheet(front[0], (*front[1][:2], TALL + stood)))
+    sky = inside(OUT["street"], ((-9, -9, TALL), (30, DEPTH, HIGH)))
+    before = CarvingEpoch(old, sky, nothing_met)
+    new = voxels(sheet(*front), occupied_in_other=False)
+    new = replace(new, observed=np.full(len(new), looked))
+    after = CarvingEpoch(voxels(edge, ceilings).add(new), OUT_OF_STOREY, nothing_met)
+    raised, lowered = (carve(*pair, CONFIG).height for pair in ((before, after), (after, before)))
+    assert (lowered.low, lowered.high) == pytest.approx((-raised.high, -raised.low))
+    return raised
+
+
+OUT_OF_STOREY = inside(OUT["street"], ((-9, -9, TALL), (30, 3.0, HIGH)))
+
+
+def test_the_front_of_a_storey_that_stands_back_from_the_edge_tells_how_far_a_block_rose():
+    found = set_back(TALL)
+    assert (found.low, found.high) == pytest.approx((TALL, TALL), abs=0.3)
+    with rules_switched_off(["storeys"]):
+        assert set_back(TALL).low < 0.3
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        {"tall": 0.9},
+        {"tall": TALL, "wide": 3.0},
+        {"tall": TALL, "looked": False},
+        {"tall": 2.5, "stood": 2.0},
+    ],
+    ids=["a railing", "a dormer", "its place was not observed", "nearly as tall before"],
+)
+def test_what_rises_from_a_roof_is_a_storey_only_where_it_is_new_tall_and_long(wall):
+    found = set_back(**wall)
+    with rules_switched_off(["storeys"]):
+        assert found == set_back(**wall)
 
 
 SLOPE = 2.5
@@ -401,7 +473,8 @@ def roofed(tall, *, chimneys=False, known=False):
     tops = [sheet(*chimney) for chimney in CHIMNEYS if chimneys]
     box = voxels(house(tall)[0], roof, *tops, occupied_in_other=False)
     shared, over = box.height < TALL - CELL, box.height > tall
-    box = replace(box, occupied_in_other=shared, free_space_confirmed=over & known)
+    normal = np.where(over[:, None], (0.0, -1.0, 0.0), box.normal)
+    box = replace(box, normal=normal, occupied_in_other=shared, free_space_confirmed=over & known)
     sky = inside(OUT["street"], ((-9, -9, tall), (30, SLOPE, HIGH)))
     stacks = inside(*((np.subtract(low, 0.1), np.add(high, 0.1)) for low, high in CHIMNEYS))
     return CarvingEpoch(box, lambda xyz: sky(xyz) & ~(chimneys & stacks(xyz)), nothing_met)

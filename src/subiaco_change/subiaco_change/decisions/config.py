@@ -42,19 +42,19 @@ class BuildingLimits(StrictModel):
     sign_surface: float = Field(
         4.0,
         ge=0,
-        description="Area of the surfaces of what was built on or taken away, whose place the other survey "
-        "saw free on both sides, from which these surfaces tell the sign of a change of volume [m2]",
+        description="Area of the walls of what was built on or taken away, whose place the other survey saw "
+        "free on both sides, from which these walls tell the sign of a change of volume [m2]",
     )
     sign_depth: float = Field(
         6.0,
         gt=0,
-        description="Depth to which what was built on or taken away is taken to lie behind its surfaces, if "
+        description="Depth to which what was built on or taken away is taken to lie behind its walls, if "
         "these tell the sign of a change of volume [m]",
     )
     height_surface: float = Field(
         2.0,
         ge=0,
-        description="Area of new or former walls and roofs, whose place the other survey saw free on both "
+        description="Area of new or former walls, whose place the other survey saw free on both "
         "sides, that supports a change of height without volume [m2]",
     )
     height_volume: float = Field(

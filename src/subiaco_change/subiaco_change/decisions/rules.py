@@ -204,8 +204,8 @@ def _building(measures: Measures, gate: float, rules: BuildingLimits) -> Decisio
 
     A label needs the middle of the bounds beyond the limit, and both bounds on its side of zero: an extension
     of 16 % that is known to lie between 9 and 17 % has grown, and a wrong sign cannot come out. The nearer
-    bound must exceed a part of the limit, or walls and roofs must stand where the other survey saw free space
-    on both sides. Bounds that straddle the limit are stated in the reason, and lower the confidence.
+    bound must exceed a part of the limit, or walls must stand where the other survey saw free space on both
+    sides. Bounds that straddle the limit are stated in the reason, and lower the confidence.
 
     Where height and volume say the opposite, the volume's sign wins (Decision 12).
     """
@@ -238,7 +238,9 @@ def _building(measures: Measures, gate: float, rules: BuildingLimits) -> Decisio
     evidence += f"{part} interval exceeds its limit"
     if all(bound.low < rules.certain for bound in turned):
         surface = measures.gained_surface if rising else measures.lost_surface
-        evidence += f", and {surface:.0f} m² of {'new' if rising else 'former'} walls and roofs lie where the"
+        evidence += (
+            f", and {surface:.0f} m² of {'new walls stand' if rising else 'former walls stood'} where the"
+        )
         evidence += f" {'earlier' if rising else 'later'} survey saw free space on both sides"
     evidence += f": the building {'grew' if rising else 'shrank'}."
     return Decision(change, evidence, up if rising else down, _sigmas(turned))

@@ -614,6 +614,16 @@ class SpaceCarvingNumbers(StrictModel):
         description="Fraction of the columns of a building that adjoin each other, and rose or fell for"
         " certain, from which they tell how the height changed; an area as large as a room is enough",
     )
+    parapet: float = Field(
+        1.0,
+        description="Height above a roof beyond which a wall on the roof is that of a storey [m]; parapets"
+        " and railings are no higher",
+    )
+    dormer: float = Field(
+        4.0,
+        description="Length beyond which a wall above a roof is that of a storey [m]; dormers and chimneys"
+        " are shorter",
+    )
     roof_normal: float = Field(
         0.7,
         description="Smallest vertical component of the normal of a roof, as a ratio",

@@ -593,7 +593,7 @@ BUILDING_RULES: tuple[Rule, ...] = (
     Rule(
         "sign_by_surface",
         _HERE,
-        "Walls and roofs of one epoch alone, whose place the other saw free on both sides, tell the sign of a"
+        "Walls of one epoch alone, whose place the other saw free on both sides, tell the sign of a"
         " change of volume: its nearer bound may then be as small as zero.",
         ("decisions.building.sign_surface", "decisions.building.sign_depth"),
     ),
@@ -673,6 +673,13 @@ BUILDING_RULES: tuple[Rule, ...] = (
             "measures.carving.known_area",
             "method_numbers.space_carving.changed_columns",
         ),
+    ),
+    Rule(
+        "storeys",
+        _HERE,
+        "A wall that rises from a roof of the other epoch, higher than a parapet and longer than a dormer, is"
+        " that of a storey, and carries a roof.",
+        ("method_numbers.space_carving.parapet", "method_numbers.space_carving.dormer"),
     ),
     Rule(
         "roof_gap",

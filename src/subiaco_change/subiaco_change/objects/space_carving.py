@@ -46,9 +46,11 @@ Cells = NDArray[np.bool_]
 _TOP = NUMBERS.space_carving.top_tolerance
 _FEW = NUMBERS.space_carving.fewest_columns
 _MANY = NUMBERS.space_carving.changed_columns
+_PARAPET = NUMBERS.space_carving.parapet
+_DORMER = NUMBERS.space_carving.dormer
 _LOOKED = NUMBERS.space_carving.observed_share
 _REFUTED = NUMBERS.space_carving.free_share
-_TOUCHING = np.ones((3, 3, 3), dtype=bool)
+_TOUCHING, _PLAN = np.ones((3, 3, 3), dtype=bool), np.ones((3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
 _LEVEL = NUMBERS.space_carving.roof_normal
 _FACES = ndimage.generate_binary_structure(3, 1)
@@ -191,7 +193,7 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
     old = states[0] if len(before.voxels) else states[1]
     whole = _whole(old, both, gain.cells, frame)
     area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
-    height, confirmed = _height(states, frame, config), (gain.confirmed, loss.confirmed)
+    height, confirmed = _height(states, both, frame, config), (gain.confirmed, loss.confirmed)
     return Carved(gain.volume, loss.volume, height, whole, 0.5 * frame.rise * area, confirmed)
 
 
@@ -376,7 +378,11 @@ def _difference(
     """
     solid = new.solid | _behind_new_walls(old, new, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
-    kinds = (voxels.observed_unoccupied, ~voxels.occupied_in_other, _of_rooms(voxels, new, frame, config))
+    kinds = (
+        voxels.observed_unoccupied,
+        ~voxels.occupied_in_other,
+        _walls_of_rooms(voxels, new, frame, config),
+    )
     part = _parts_of(voxels, number, frame)
     observed, alone, confirmed = (np.bincount(part[kind], minlength=count + 1) for kind in kinds)
     supported = _supported(observed, config)
@@ -387,24 +393,25 @@ def _difference(
     maybe = (old.free & new.unknown) | (old.unknown & solid)
     reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
     volume = Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume)
-    return _Difference(volume, sure, int(confirmed[supported & _wide(number, frame, config)].sum()))
+    wide = _longer(number, config.roof_width / frame.cell)  # than chimneys
+    return _Difference(volume, sure, int(confirmed[supported & wide].sum()))
 
 
-def _wide(number: Ints, frame: _Frame, config: CarvingConfig) -> NDArray[np.bool_]:
-    """Tell which parts (count + 1,) of an array of cells are longer than chimneys are wide."""
-    extents = (
-        max(box[0].stop - box[0].start, box[1].stop - box[1].start) for box in ndimage.find_objects(number)
-    )
-    return np.array([False, *(extent * frame.cell > config.roof_width for extent in extents)])
+def _longer(number: Ints, least: float) -> NDArray[np.bool_]:
+    """Tell which parts (count + 1,) of an array of cells or columns are longer in plan, in cells."""
+    boxes = ndimage.find_objects(number)
+    return np.array([False, *(max(side.stop - side.start for side in box[:2]) > least for box in boxes)])
 
 
-def _of_rooms(voxels: Voxels, state: _State, frame: _Frame, config: CarvingConfig) -> Mask:
-    """Tell which voxels (M,) were seen free on both sides and stand in columns as high as a room.
+def _walls_of_rooms(voxels: Voxels, state: _State, frame: _Frame, config: CarvingConfig) -> Mask:
+    """Tell which voxels (M,) of walls were seen free on both sides, in columns as high as a room.
 
-    Fences and hedges that touch a house are lower.
+    Fences and hedges that touch a house are lower. What is level may be a ceiling: one survey looked through
+    a window at it, the other past it.
     """
     slot = frame.slots(voxels.xyz[:, :2])
-    return np.asarray(voxels.free_space_confirmed & (state.top[slot[:, 0], slot[:, 1]] >= config.room))
+    wall = np.abs(voxels.normal[:, 2]) <= _LEVEL
+    return np.asarray(voxels.free_space_confirmed & wall & (state.top[slot[:, 0], slot[:, 1]] >= config.room))
 
 
 def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
@@ -479,16 +486,19 @@ def _behind_new_walls(old: _State, new: _State, config: CarvingConfig) -> Cells:
     return walls | (_enclosed(walls, stops | (old.solid & ~walls)) & ~new.free)
 
 
-def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
+def _height(
+    states: tuple[_State, ...], voxels: tuple[Voxels, Voxels], frame: _Frame, config: CarvingConfig
+) -> Interval:
     """Change of the height that 5 % of the columns reach, of columns whose tops both epochs know.
 
     The top of a column lies between the highest surface seen in it and the lowest free cell above, or the
     surface of the other epoch that was not seen free: a beam along a wall crosses its columns in front of
-    it. A column without a surface is known where free space lies well below the top in the other epoch, by
-    more than a roof of 45 degrees falls within a column. The sky above a roof that one epoch did not see
-    says nothing of that roof. A column that is open down to less than a room lost its body, which is a
-    change of volume. Where few columns have free space above, those without count too, up to the highest
-    top of all. Chimneys, parapets and party walls are no roof. A top is known to half of a cell.
+    it. A column without a surface is known where free space lies well below the top in the other epoch,
+    by more than a roof of 45 degrees falls within a column. The sky above a roof that one epoch did not
+    see says nothing of that roof. A column that is open down to less than a room lost its body, which is
+    a change of volume. Where few columns have free space above, those without count too, up to the
+    highest top of all. Storeys that were built on a roof, or taken off, count by the walls that were
+    seen. Chimneys, parapets and party walls are no roof. A top is known to half of a cell.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
@@ -501,14 +511,44 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
         columns = capped
     columns = _tightly_known(columns, bounds, frame, config)
     tops = []
-    for low, high in bounds:
+    for (low, high), storey in zip(bounds, _storeys(states, voxels, frame, config), strict=True):
         if not (low[columns] > 0).any():
             return Interval(float("nan"), float("nan"))
         known = np.minimum(high, np.maximum(ceiling, low))
-        roofs = (_without_narrow(top, columns, frame, config) for top in (low, known))
+        counted = columns | (storey > 0)
+        roofs = (_without_narrow(np.maximum(top, storey), counted, frame, config) for top in (low, known))
         tops.append([float(np.quantile(roof, 0.95)) for roof in roofs])
     (low_b, high_b), (low_a, high_a) = tops
     return Interval(low_a - high_b, high_a - low_b).widened(0.5 * frame.rise)
+
+
+def _no_storeys(states: tuple[_State, ...], *_: object) -> Iterator[Floats]:
+    """Yield no tops."""
+    return (np.zeros_like(state.top) for state in states)
+
+
+@switchable("storeys", _no_storeys)
+def _storeys(
+    states: tuple[_State, ...], voxels: tuple[Voxels, Voxels], frame: _Frame, config: CarvingConfig
+) -> Iterator[Floats]:
+    """Yield of each epoch the tops (nx, ny) of storeys on a roof of the other epoch, 0 elsewhere [m].
+
+    The street shows the front of a storey that stands back from the edge of a flat roof, and no more of its
+    roof than its edge. What rises above all of the other epoch's roof, higher than a parapet and longer than
+    a dormer, carries a roof as wide as roofs are. The other epoch must have seen free where it stands.
+    """
+    width = 2 * int(0.5 * config.roof_width / frame.cell) + 1
+    for state, other, own in zip(states, states[::-1], voxels, strict=True):
+        roof = float(np.quantile(other.top[other.top > 0], 0.95)) if (other.top > 0).any() else np.inf
+        above = state.top > roof + frame.rise
+        number, count = ndimage.label(ndimage.binary_closing(above, _PLAN), _PLAN)
+        rises = _tops(own.select(own.observed_unoccupied), frame) > other.top + _PARAPET
+        kinds = above & rises & (other.top > 0), above & (other.top > state.top - _PARAPET)
+        new, old = (ndimage.sum_labels(kind, number, np.arange(count + 1)) for kind in kinds)
+        storey = (new >= config.support) & (new > old) & _longer(number, _DORMER / frame.cell)
+        storey &= ndimage.maximum(state.top, number, np.arange(count + 1)) > roof + _PARAPET
+        top = ndimage.grey_dilation(np.where(storey[number], state.top, 0.0), (width, width))
+        yield np.where((state.top > 0) | storey[number], top, 0.0)
 
 
 def _without_narrow(top: Floats, columns: Mask, frame: _Frame, config: CarvingConfig) -> Floats:
@@ -536,15 +576,19 @@ def _tightly_known(
         known |= _large(columns & (above >= below + frame.rise), least)
     if np.count_nonzero(known) * frame.cell**2 < config.known_area:
         return columns
-    highest = [
-        np.quantile(low[known], 0.95) >= np.quantile(low[columns], 0.95) - frame.rise for low, _ in bounds
-    ]
-    return known if all(highest) else columns
+    return known if all(_as_high(low, known, columns, frame, config) for low, _ in bounds) else columns
+
+
+def _as_high(low: Floats, some: Mask, columns: Mask, frame: _Frame, config: CarvingConfig) -> bool:
+    """Tell whether some columns reach as high as all do, of their roofs or with what is no roof."""
+    tops = ((low[kind], _without_narrow(low, kind, frame, config)) for kind in (some, columns))
+    reached, all_reached = (np.quantile(kinds, 0.95, axis=1) for kinds in tops)
+    return bool((reached >= all_reached - frame.rise).any())
 
 
 def _large(columns: Mask, least: float) -> Mask:
     """Keep of some columns (nx, ny) those that adjoin others, and are as many as ``least`` together."""
-    number, count = ndimage.label(columns, np.ones((3, 3)))
+    number, count = ndimage.label(columns, _PLAN)
     enough = np.bincount(number.ravel(), minlength=count + 1) >= least
     return np.asarray(columns & enough[number])
 
