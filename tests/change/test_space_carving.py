@@ -358,6 +358,13 @@ def test_a_storey_on_a_house_with_walls_on_all_sides_has_its_volume():
     assert found.height.low > 0.8 * TALL
 
 
+def rise_of(before, after):
+    """Change of height; that of the swapped epochs is the opposite."""
+    raised, lowered = (carve(*pair, CONFIG).height for pair in ((before, after), (after, before)))
+    assert (lowered.low, lowered.high) == pytest.approx((-raised.high, -raised.low))
+    return raised
+
+
 def raised_house(deep, *, wide=LENGTH, unseen=0.0):
     """Change of height of a house that rose by 3 m, of which the street sees the roof up to a depth [m].
 
@@ -372,9 +379,7 @@ def raised_house(deep, *, wide=LENGTH, unseen=0.0):
         sky = inside(OUT["street"], ((-9, -9, tall + hidden), (30, deep + 0.5 * CELL, HIGH)))
         made = epoch([ceiling], sky)
         sides.append(replace(made, voxels=made.voxels.add(voxels(roof, occupied_in_other=False))))
-    raised, lowered = (carve(*pair, CONFIG).height for pair in (sides, sides[::-1]))
-    assert (lowered.low, lowered.high) == pytest.approx((-raised.high, -raised.low))
-    return raised
+    return rise_of(*sides)
 
 
 def test_a_part_of_the_roof_tells_how_far_a_house_rose_though_ceilings_were_seen_behind():
@@ -408,7 +413,7 @@ def test_a_party_wall_of_unknown_height_does_not_hide_how_far_a_roof_rose():
         sky = inside(OUT["street"], ((-9, -9, tall), (LENGTH - CELL, 4.25, HIGH)), *over)
         box = voxels(ceilings, party_wall, chimney).add(voxels(roof, occupied_in_other=False))
         sides.append(CarvingEpoch(box, sky, nothing_met))
-    found = carve(*sides, CONFIG).height
+    found = rise_of(*sides)
     assert (found.low, found.high) == pytest.approx((1.0, 1.0), abs=0.3)
 
 
@@ -427,17 +432,11 @@ def set_back(tall, wide=LENGTH - 2, *, looked=True, stood=0.0):
     ceilings = sheet((CELL, 3 * CELL, TALL - CELL), (LENGTH - CELL, DEPTH, TALL))
     front = ((1.0, 3.0, TALL), (1.0 + wide, 3.0 + CELL, TALL + tall))
     old = voxels(edge, ceilings, sheet(front[0], (*front[1][:2], TALL + stood)))
-    sky = inside(OUT["street"], ((-9, -9, TALL), (30, DEPTH, HIGH)))
-    before = CarvingEpoch(old, sky, nothing_met)
     new = voxels(sheet(*front), occupied_in_other=False)
     new = replace(new, observed=np.full(len(new), looked))
-    after = CarvingEpoch(voxels(edge, ceilings).add(new), OUT_OF_STOREY, nothing_met)
-    raised, lowered = (carve(*pair, CONFIG).height for pair in ((before, after), (after, before)))
-    assert (lowered.low, lowered.high) == pytest.approx((-raised.high, -raised.low))
-    return raised
-
-
-OUT_OF_STOREY = inside(OUT["street"], ((-9, -9, TALL), (30, 3.0, HIGH)))
+    skies = [inside(OUT["street"], ((-9, -9, TALL), (30, deep, HIGH))) for deep in (DEPTH, 3.0)]
+    sides = zip((old, voxels(edge, ceilings).add(new)), skies, strict=True)
+    return rise_of(*(CarvingEpoch(*side, nothing_met) for side in sides))
 
 
 def test_the_front_of_a_storey_that_stands_back_from_the_edge_tells_how_far_a_block_rose():

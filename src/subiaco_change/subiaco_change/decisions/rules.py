@@ -238,10 +238,8 @@ def _building(measures: Measures, gate: float, rules: BuildingLimits) -> Decisio
     evidence += f"{part} interval exceeds its limit"
     if all(bound.low < rules.certain for bound in turned):
         surface = measures.gained_surface if rising else measures.lost_surface
-        evidence += (
-            f", and {surface:.0f} m² of {'new walls stand' if rising else 'former walls stood'} where the"
-        )
-        evidence += f" {'earlier' if rising else 'later'} survey saw free space on both sides"
+        walls, other = ("new walls stand", "earlier") if rising else ("former walls stood", "later")
+        evidence += f", and {surface:.0f} m² of {walls} where the {other} survey saw free space on both sides"
     evidence += f": the building {'grew' if rising else 'shrank'}."
     return Decision(change, evidence, up if rising else down, _sigmas(turned))
 
@@ -298,7 +296,7 @@ def _rise(height: Interval, volume: Interval, surface: float, room: float, rules
     """Return by how much a rise of a building is met; that of its height needs volume or walls that carry it.
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
-    the area of the surfaces of what was built on that the other epoch would have met [m2]: it tells the sign,
+    the area of the walls of what was built on that the other epoch would have met [m2]: it tells the sign,
     unless the height says the opposite, or is not known to its limit, so that unseen roofs decide. To the
     depth ``sign_depth`` behind it, ``room`` must fit: the volume of the limit [m3].
     """

@@ -124,7 +124,7 @@ class Measures:
     possible (Decision 17), ``delta_h`` and ``delta_v`` their middles; ``volume_resolution``
     is the volume below which carving shows no change. ``gained`` and ``lost`` are the volumes [m3] of which
     ``volume_bounds`` is the difference; ``gained_surface`` and ``lost_surface`` are the areas of their
-    surfaces whose place the other epoch saw free on both sides [m2].
+    walls whose place the other epoch saw free on both sides [m2].
     """
 
     iou: float

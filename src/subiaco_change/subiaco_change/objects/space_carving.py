@@ -35,6 +35,7 @@ from subiaco_change.objects.carving_config import CarvingConfig
 from subiaco_change.objects.column_volumes import body_tops, tops_of_columns
 from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import Voxels
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints
@@ -82,8 +83,8 @@ class Carved:
 
     ``gained`` and ``lost``: the volumes [m3], neither negative, of which ``volume`` is the difference.
     ``resolution``: half of a cell over the area of the body [m3]; a smaller change is not observed.
-    ``confirmed``: voxels of the surfaces of what was gained, and of what was lost, whose place the other
-    epoch saw free on both sides.
+    ``confirmed``: voxels of the walls of what was gained, and of what was lost, whose place the other epoch
+    saw free on both sides.
     """
 
     gained: Interval
@@ -251,7 +252,7 @@ def _walls(top: Floats, other: Voxels, frame: _Frame) -> tuple[Cells, Cells]:
 
     The latter are of the other epoch, and their places were not observed. They are no higher than the known.
     """
-    unseen = other.select(~other.observed & (np.abs(other.normal[:, 2]) <= _LEVEL))
+    unseen = other.select(~other.observed & ~_are_level(other))
     possible = np.minimum(np.maximum(top, _tops(unseen, frame)), top.max())
     return frame.below(top), frame.below(possible)
 
@@ -280,7 +281,7 @@ def _sides(walls: Cells) -> Ints:
 @switchable("cells_beside_surfaces", none_like_second)
 def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
     """Cells below tops that surfaces of voxels may fill; between the voxels of a wall are gaps."""
-    level = np.abs(voxels.normal[:, 2]) > _LEVEL
+    level = _are_level(voxels)
     kinds = ((voxels.select(~level), _BESIDE_WALL), (voxels.select(level), _BESIDE_ROOF))
     filled = np.zeros_like(below)
     for own, reach in kinds:
@@ -360,7 +361,7 @@ def _follows(walls: Cells, stops: Cells, axis: int) -> Cells:
 
 @dataclass(frozen=True)
 class _Difference:
-    """What one epoch has and the other had not: volume [m3], cells, and voxels seen free on both sides."""
+    """What one epoch has and the other had not: volume [m3], cells, and wall voxels seen free on both sides."""
 
     volume: Interval
     cells: Cells
@@ -410,8 +411,13 @@ def _walls_of_rooms(voxels: Voxels, state: _State, frame: _Frame, config: Carvin
     a window at it, the other past it.
     """
     slot = frame.slots(voxels.xyz[:, :2])
-    wall = np.abs(voxels.normal[:, 2]) <= _LEVEL
-    return np.asarray(voxels.free_space_confirmed & wall & (state.top[slot[:, 0], slot[:, 1]] >= config.room))
+    tall = state.top[slot[:, 0], slot[:, 1]] >= config.room
+    return np.asarray(voxels.free_space_confirmed & ~_are_level(voxels) & tall)
+
+
+def _are_level(voxels: Voxels) -> Mask:
+    """Tell roofs, ceilings and floors (M,) from walls."""
+    return np.asarray(np.abs(voxels.normal[:, 2]) > _LEVEL)
 
 
 def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
@@ -517,9 +523,14 @@ def _height(
         known = np.minimum(high, np.maximum(ceiling, low))
         counted = columns | (storey > 0)
         roofs = (_without_narrow(np.maximum(top, storey), counted, frame, config) for top in (low, known))
-        tops.append([float(np.quantile(roof, 0.95)) for roof in roofs])
+        tops.append([_reached(roof) for roof in roofs])
     (low_b, high_b), (low_a, high_a) = tops
     return Interval(low_a - high_b, high_a - low_b).widened(0.5 * frame.rise)
+
+
+def _reached(tops: Floats) -> float:
+    """Height that 5 % of some columns (K,) reach [m]."""
+    return quantile_of(tops, 0.95)
 
 
 def _no_storeys(states: tuple[_State, ...], *_: object) -> Iterator[Floats]:
@@ -537,23 +548,33 @@ def _storeys(
     roof than its edge. What rises above all of the other epoch's roof, higher than a parapet and longer than
     a dormer, carries a roof as wide as roofs are. The other epoch must have seen free where it stands.
     """
-    width = 2 * int(0.5 * config.roof_width / frame.cell) + 1
+    width = _columns_of_roof(frame, config)
     for state, other, own in zip(states, states[::-1], voxels, strict=True):
-        roof = float(np.quantile(other.top[other.top > 0], 0.95)) if (other.top > 0).any() else np.inf
+        stood = other.top > 0
+        roof = _reached(other.top[stood]) if stood.any() else np.inf
         above = state.top > roof + frame.rise
         number, count = ndimage.label(ndimage.binary_closing(above, _PLAN), _PLAN)
         rises = _tops(own.select(own.observed_unoccupied), frame) > other.top + _PARAPET
-        kinds = above & rises & (other.top > 0), above & (other.top > state.top - _PARAPET)
-        new, old = (ndimage.sum_labels(kind, number, np.arange(count + 1)) for kind in kinds)
-        storey = (new >= config.support) & (new > old) & _longer(number, _DORMER / frame.cell)
-        storey &= ndimage.maximum(state.top, number, np.arange(count + 1)) > roof + _PARAPET
-        top = ndimage.grey_dilation(np.where(storey[number], state.top, 0.0), (width, width))
-        yield np.where((state.top > 0) | storey[number], top, 0.0)
+        kinds = (
+            above & rises & stood,
+            above & (other.top > state.top - _PARAPET),
+            state.top > roof + _PARAPET,
+        )
+        new, old, tall = (np.bincount(number[kind], minlength=count + 1) for kind in kinds)
+        long = _longer(number, _DORMER / frame.cell)
+        storey = ((new >= config.support) & (new > old) & (tall > 0) & long)[number]
+        top = ndimage.grey_dilation(np.where(storey, state.top, 0.0), (width, width))
+        yield np.where((state.top > 0) | storey, top, 0.0)
+
+
+def _columns_of_roof(frame: _Frame, config: CarvingConfig) -> int:
+    """Width of the narrowest roof, in columns; an odd number."""
+    return 2 * int(0.5 * config.roof_width / frame.cell) + 1
 
 
 def _without_narrow(top: Floats, columns: Mask, frame: _Frame, config: CarvingConfig) -> Floats:
     """Return the tops (K,) of some columns (nx, ny) without what is narrower than a roof [m]."""
-    width = 2 * int(0.5 * config.roof_width / frame.cell) + 1
+    width = _columns_of_roof(frame, config)
     lowest = ndimage.minimum_filter(np.where(columns, top, np.inf), width, mode="nearest")
     roof = ndimage.maximum_filter(np.where(columns, lowest, -np.inf), width, mode="nearest")
     return np.asarray(roof[columns])
@@ -581,9 +602,11 @@ def _tightly_known(
 
 def _as_high(low: Floats, some: Mask, columns: Mask, frame: _Frame, config: CarvingConfig) -> bool:
     """Tell whether some columns reach as high as all do, of their roofs or with what is no roof."""
-    tops = ((low[kind], _without_narrow(low, kind, frame, config)) for kind in (some, columns))
-    reached, all_reached = (np.quantile(kinds, 0.95, axis=1) for kinds in tops)
-    return bool((reached >= all_reached - frame.rise).any())
+    if _reached(low[some]) >= _reached(low[columns]) - frame.rise:
+        return True
+    roofs = (_without_narrow(low, kind, frame, config) for kind in (some, columns))
+    reached, all_reached = map(_reached, roofs)
+    return reached >= all_reached - frame.rise
 
 
 def _large(columns: Mask, least: float) -> Mask:
