@@ -361,7 +361,7 @@ def _follows(walls: Cells, stops: Cells, axis: int) -> Cells:
 
 @dataclass(frozen=True)
 class _Difference:
-    """What one epoch has and the other had not: volume [m3], cells, and wall voxels seen free on both sides."""
+    """What one epoch has and the other had not: volume [m3], cells, wall voxels seen free on both sides."""
 
     volume: Interval
     cells: Cells
