@@ -1,5 +1,6 @@
 """What became of one house of a row is a change of that house, not of the row."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -85,7 +86,33 @@ def test_a_half_of_a_pair_is_a_house_and_a_shorter_part_of_a_house_is_not():
     half[14:], part[17:] = 0.0, 0.0
     assert set(changed(before, half)) == {1, 2}
     assert changed(before, part) == []
+    assert changed(before[:24], np.where(np.arange(24) < 12, 6.0, 0.0)) == [1, 2]  # of a narrow pair
     assert changed(before[:20], np.where(np.arange(20) < 10, 6.0, 0.0)) == []  # a house that lost its half
+
+
+def lowered(share):
+    """Voxels of a row of which the later epoch shows a verandah of the middle house, and nothing above.
+
+    The later epoch saw this share free of what stood there.
+    """
+    before, after = houses((6.8, 6.8, 6.8)), houses((6.8, 4.0, 6.8))
+    pair = roofs(before, after), roofs(after, before)
+    above = [(v.xyz[:, 0] // WIDTH == 1) & (v.height > VERANDAH) for v in pair]
+    free = np.random.default_rng(1).uniform(size=len(pair[0])) < share
+    old = replace(pair[0], occupied_in_other=pair[0].occupied_in_other | (above[0] & ~free))
+    return old, pair[1].select(~above[1])
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["taken off", "built"])
+def test_a_house_that_was_lowered_is_parted_also_where_nothing_above_its_foot_was_seen(sign):
+    rows = lowered(1.0)[::sign]
+    house = changed_houses(*rows)[1]
+    x = np.concatenate([v.xyz[:, 0] for v in rows])[house > 0]
+    assert set((x // WIDTH).astype(int).tolist()) == {1}
+
+
+def test_a_house_of_which_most_was_seen_to_stand_was_not_lowered():
+    assert not changed_houses(*lowered(0.3))[1].any()
 
 
 def test_a_house_was_taken_from_a_row_also_where_its_neighbour_was_hidden_beside_it():

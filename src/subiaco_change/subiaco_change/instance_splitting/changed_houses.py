@@ -53,8 +53,8 @@ _DEEP = NUMBERS.changed_houses.part_depth / _COLUMN
 _LONG = round(NUMBERS.changed_houses.rest_length / _COLUMN)
 
 #: Kinds of the slots of a row: unchanged, only in one epoch (in the order of the epochs), reshaped on the
-#: front that both have, or with something else in the place of a front.
-_UNCHANGED, _ONLY, _LOST, _GAINED, _PARTLY = 0, (1, 2), 3, 4, 5
+#: front that both have, with something else in the place of a front, or only in one epoch but for its foot.
+_UNCHANGED, _ONLY, _LOST, _GAINED, _PARTLY, _BUT_FOOT = 0, (1, 2), 3, 4, 5, (6, 7)
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,11 @@ class _Stretch:
     def only(self) -> int | None:
         """The epoch, 0 or 1, that alone has a house there; None if both have one."""
         return _ONLY.index(self.kind) if self.kind in _ONLY else None
+
+    @property
+    def taller(self) -> int | None:
+        """The epoch that alone has a house there, or all of it but its foot; None if both have one."""
+        return _BUT_FOOT.index(self.kind) if self.kind in _BUT_FOOT else self.only
 
 
 @dataclass(frozen=True)
@@ -243,7 +248,7 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     """
     kind = _kinds(sides)
     same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known)
-    gone = np.isin(kind, _ONLY)
+    gone = np.isin(kind, _ONLY + _BUT_FOOT)
     step = np.where(gone, np.inf, np.maximum(sides[0].step, sides[1].step))
     built = (sides[0].top > 0) & (sides[1].top > 0) & ~gone & (kind != _PARTLY)
     houses: list[_Stretch] = []
@@ -269,16 +274,18 @@ def _kinds(sides: Sequence[_Profile]) -> Ints:
     """Return the kind (S,) of every slot.
 
     One epoch alone has what the other holds in few of its columns. Where the front stands in both up to the
-    height of a room, a storey was taken off or built, and of its roof nothing may be seen. Where the foot of
-    the front is gone too, a part of a house was taken down, and the row says nothing of houses.
+    height of a room, a storey was taken off or built, and of its roof nothing may be seen, or nothing above a
+    room. Where the foot of the front is gone too, a part of a house was taken down, and the row says nothing
+    of houses.
     """
     changed = [side.above >= _CHANGED for side in sides]
     foot = np.logical_or(*(side.foot >= _GONE for side in sides))
     kind = np.select([changed[1], changed[0]], [_GAINED, _LOST], _UNCHANGED)
     kind[_smoothed(foot) & (kind != _UNCHANGED)] = _PARTLY
-    for only, side in enumerate(sides):
-        gone = (side.alone >= _CHANGED) & side.hardly_in(sides[1 - only]) & ~(side.foot < _GONE)
-        kind[_smoothed(gone)] = _ONLY[only]
+    for epoch, side in enumerate(sides):
+        missing = side.hardly_in(sides[1 - epoch])
+        kind[_smoothed((side.alone >= _GONE) & missing)] = _BUT_FOOT[epoch]
+        kind[_smoothed((side.alone >= _CHANGED) & missing & ~(side.foot < _GONE))] = _ONLY[epoch]
     return kind
 
 
@@ -303,10 +310,10 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     high and as deep as the house beside it, and wider than most extensions. ``built``: slots (S,) in which
     both epochs have a house.
     """
-    if stretch.only is None:
+    if stretch.taller is None:
         return stretch.kind != _PARTLY
     begin, end = stretch.begin, stretch.end
-    own, other = sides[stretch.only], sides[1 - stretch.only]
+    own, other = sides[stretch.taller], sides[1 - stretch.taller]
     top = float(np.median(own.top[begin:end]))
     around = (
         [slice(max(begin - gap - _WIDTH, 0), max(begin - gap, 0)) for gap in range(_WALLS + 1)],

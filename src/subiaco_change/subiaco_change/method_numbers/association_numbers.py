@@ -64,7 +64,7 @@ class ChangedHousesNumbers(StrictModel):
         description="Smallest ratio of the widths of the two houses of a pair of which one is new or gone",
     )
     pair_front: float = Field(
-        6.5, description="Smallest width of each house of a pair of which one is new or gone [m]"
+        5.5, description="Smallest width of each house of a pair of which one is new or gone [m]"
     )
     confirmed_voxels: int = Field(
         40,
