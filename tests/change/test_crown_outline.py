@@ -1,19 +1,14 @@
 """The outline of a crown: how far it moved, whatever was seen of it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from test_measures import voxels
 
 from subiaco_change.decisions.plant_measures import (
     OutlineConfig,
     PlantConfig,
-    beyond_outline,
     change_of_base,
     compare_outlines,
 )
-from subiaco_change.objects.voxel_objects import Voxels
 
 
 def crown(count, radius, seed, side=None):
@@ -67,20 +62,3 @@ def test_the_base_of_a_crown_tells_how_far_its_lower_branches_were_cut(lifted):
 def test_few_columns_say_nothing_of_the_base_of_a_crown():
     fall, sigma = change_of_base(crown(60, 0.5, 1), crown(60, 0.5, 2), PlantConfig())
     assert np.isnan([fall, sigma]).all()
-
-
-def seen_alone(xyz, alone):
-    """Voxels of a crown; ``alone`` (N,): the other epoch observed the place and holds nothing there."""
-    made = voxels(xyz)
-    return replace(made, observed=np.ones(len(xyz), dtype=bool), occupied_in_other=~alone)
-
-
-def test_a_crown_that_appeared_beside_another_lies_beyond_its_outline_and_more_leaves_do_not():
-    old, leaves, beside = crown(300, 2.0, 1), crown(300, 2.3, 2), np.add(crown(300, 2.0, 3), (3.5, 0, 0))
-    before = seen_alone(old, np.zeros(300, dtype=bool))
-    denser = seen_alone(np.concatenate([old, leaves]), np.repeat([False, True], 300))
-    both = seen_alone(np.concatenate([old, beside]), np.repeat([False, True], 300))
-    assert beyond_outline(before, denser, 0.75) == 0.0
-    assert beyond_outline(before, both, 0.75) > 0.3
-    assert beyond_outline(both, before, 0.75) == -beyond_outline(before, both, 0.75)
-    assert beyond_outline(Voxels.joined([before]).select(np.zeros(300, dtype=bool)), both, 0.75) == 0.0

@@ -87,7 +87,6 @@ PLANTS = [
     ("outline_of_plants", replace(CROWN, outline=0.8), Change.INCREASED, Change.UNCHANGED),
     ("surface_carries_change", replace(CROWN, outline=math.nan, top=2.0), Change.UNCHANGED, Change.INCREASED),
     ("extent_carries_surface", replace(CROWN, surface=0.4), Change.UNCHANGED, Change.INCREASED),
-    ("surface_beside_plant", replace(CROWN, surface=0.4, beyond=0.3), Change.INCREASED, Change.UNCHANGED),
     (
         "unseen_tops_of_plants",
         replace(CROWN, outline=math.nan, top=2.0, surface=0.12, tops_unseen=True),

@@ -190,13 +190,11 @@ def _is_foliage(
 ) -> bool:
     """Tell whether surface appeared or disappeared in a plant whose tops, outline and base did not follow.
 
-    Leaves that fall open a crown to beams and leave its extent as it is. What appeared beside the outline
-    of the other epoch is a crown, not leaves.
+    Leaves that fall open a crown to beams and leave its extent as it is.
     """
     sign = math.copysign(1.0, found.strength)
     part = plant.rise_of_part if found.strength > 0 else plant.fall_of_part
-    beside = sign * plant.beyond > rules.min_net_change
-    if part > rules.height or applies("surface_beside_plant", beside):
+    if part > rules.height:
         return False
     known = [e.strength for e in extent if math.isfinite(e.value)]
     return bool(known) and max(sign * s for s in known) < rules.followed and sign * base.strength <= 1.0

@@ -17,14 +17,14 @@ from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
-from subiaco_change.geometry import in_box_around, in_outline_of
+from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
 from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.known_space import ALL_FREE, KnownSpace, KnownSpaces
 from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.objects.plant_tops import TopChange, TopConfig, change_of_tops
-from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
+from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_change.quantiles import median_and_spread, quantile_of
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
@@ -144,12 +144,6 @@ class PlantConfig(StrictModel):
         description="Distance without points of the other epoch from which a point is surface of its own "
         "epoch alone [m]",
     )
-    beside: float = Field(
-        0.75,
-        gt=0,
-        description="Distance outside of the outline of a plant, seen from above, beyond which new surface "
-        "is no new leaf of that plant [m]",
-    )
     base_columns: int = Field(
         12, ge=1, description="Number of columns of a crown in both epochs by which its base is compared"
     )
@@ -207,7 +201,6 @@ def measure_plant(
         free_gained=gained,
         free_lost=lost,
         tops_unseen=tops.unseen,
-        beyond=beyond_outline(join_voxels(before), join_voxels(after), config.beside),
         base=base,
         base_sigma=base_sigma,
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
@@ -236,22 +229,6 @@ def change_of_base(before: Floats, after: Floats, config: PlantConfig) -> tuple[
     fall = (low_b - low_a)[above]
     middle, spread = median_and_spread(fall)
     return middle, 1.2533 * spread / math.sqrt(len(fall))
-
-
-def beyond_outline(before: Voxels, after: Voxels, beside: float) -> float:
-    """Return the share of the surface that lies beyond the outline of the other epoch, gained less lost.
-
-    Leaves fall and grow within a crown; a crown beside it lies farther than ``beside`` [m] from the convex
-    outline of the other epoch, seen from above.
-    """
-    total = np.count_nonzero(before.observed) + np.count_nonzero(after.observed)
-    if min(len(before), len(after)) == 0 or total == 0:
-        return 0.0
-    found = []
-    for own, other in ((before, after), (after, before)):
-        alone = own.xyz[own.observed_unoccupied, :2]
-        found.append(np.count_nonzero(~in_outline_of(other.xyz[:, :2], alone, beside)))
-    return 2.0 * (found[1] - found[0]) / total
 
 
 @switchable("tops_of_columns", lambda *_: TopChange())

@@ -83,8 +83,7 @@ class PlantMeasures:
     section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``
     [m]: of the columns of a part of the plant. ``free_gained`` and ``free_lost``: probability that the
     surface that *after*, or *before*, alone has was free in the other epoch. ``tops_unseen``: its columns
-    were compared, but the space above their lower tops was not observed. ``beyond``: share of the surface
-    that lies beyond the outline of the other epoch, gained less lost.
+    were compared, but the space above their lower tops was not observed.
     """
 
     kind: PlantKind
@@ -109,7 +108,6 @@ class PlantMeasures:
     free_lost: float = 1.0
     top_sigma: float = 0.0
     tops_unseen: bool = False
-    beyond: float = 0.0
     base: float = math.nan
     base_sigma: float = math.nan
 

@@ -90,12 +90,6 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "surface_beside_plant",
-        _PLANTS,
-        "New or lost surface beyond the outline of the other epoch is a crown beside the plant, not leaves.",
-        ("plants.beside", "decisions.vegetation.min_net_change"),
-    ),
-    Rule(
         "surface_carries_change",
         _PLANTS,
         "A change of the top or volume of a plant needs new or lost surface that carries the change.",
