@@ -86,7 +86,8 @@ def test_a_half_of_a_pair_is_a_house_and_a_shorter_part_of_a_house_is_not():
     half[14:], part[17:] = 0.0, 0.0
     assert set(changed(before, half)) == {1, 2}
     assert changed(before, part) == []
-    assert changed(before[:24], np.where(np.arange(24) < 12, 6.0, 0.0)) == [1, 2]  # of a narrow pair
+    assert changed(before[:24], np.where(np.arange(24) < 12, 6.0, 0.0)) == []  # as high as wide
+    assert changed(before[:24] + 1.0, np.where(np.arange(24) < 12, 7.0, 0.0)) == [1, 2]  # higher than wide
     assert changed(before[:20], np.where(np.arange(20) < 10, 6.0, 0.0)) == []  # a house that lost its half
 
 

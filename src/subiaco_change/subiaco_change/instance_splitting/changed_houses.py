@@ -41,6 +41,7 @@ _ALIKE = NUMBERS.changed_houses.neighbour_share
 _ROW = NUMBERS.changed_houses.houses_of_row
 _HALF = NUMBERS.changed_houses.half_of_pair
 _PAIR = round(NUMBERS.changed_houses.pair_front / _COLUMN)
+_NARROW = round(NUMBERS.changed_houses.narrow_front / _COLUMN)
 _GARAGE = NUMBERS.changed_houses.garage_height
 _LEAST = NUMBERS.changed_houses.least_top
 _PART = NUMBERS.changed_houses.part_of_usual
@@ -334,12 +335,13 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
 def _is_half(own: _Profile, other: _Profile, built: Mask, stretch: _Stretch) -> bool:
     """Tell whether what one epoch alone has, with its walls, is as long as the house that both have.
 
-    A narrower half is of one house that was shortened.
+    A narrower half is of one house that was shortened. Narrow houses are higher than wide.
     """
     alone = own.columns.any(axis=1) & own.hardly_in(other)
     walls = slice(max(stretch.begin - _WALLS, 0), stretch.end + _WALLS)
     halves = np.count_nonzero(built & ~alone), np.count_nonzero(alone[walls])
-    return bool(min(halves) >= max(_HALF * max(halves), _PAIR))
+    high = float(np.median(own.top[stretch.begin : stretch.end])) > _COLUMN * max(halves)
+    return bool(min(halves) >= max(_HALF * max(halves), _NARROW if high else _PAIR))
 
 
 def _is_house_wide(slots: Mask) -> bool:

@@ -64,7 +64,10 @@ class ChangedHousesNumbers(StrictModel):
         description="Smallest ratio of the widths of the two houses of a pair of which one is new or gone",
     )
     pair_front: float = Field(
-        5.5, description="Smallest width of each house of a pair of which one is new or gone [m]"
+        6.5, description="Smallest width of each house of a pair of which one is new or gone [m]"
+    )
+    narrow_front: float = Field(
+        5.5, description="Smallest width of such a house that is higher than it is wide [m]"
     )
     confirmed_voxels: int = Field(
         40,

@@ -439,6 +439,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.changed_houses.houses_of_row",
             "method_numbers.changed_houses.half_of_pair",
             "method_numbers.changed_houses.pair_front",
+            "method_numbers.changed_houses.narrow_front",
             "method_numbers.changed_houses.end_front",
             "method_numbers.changed_houses.wall_reach",
             "method_numbers.changed_houses.same_top",
