@@ -67,7 +67,7 @@ class ChangedHousesNumbers(StrictModel):
         6.5, description="Smallest width of each house of a pair of which one is new or gone [m]"
     )
     narrow_front: float = Field(
-        5.5, description="Smallest width of such a house that is higher than it is wide [m]"
+        5.5, description="Smallest width of each house of a pair that is higher than its houses are wide [m]"
     )
     confirmed_voxels: int = Field(
         40,
