@@ -324,7 +324,7 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     beside = [side[0] for side in wide if side]
     tops = [float(np.median(own.top[slots])) for slots in beside]
     long = np.count_nonzero(built) >= _ROW * (end - begin)
-    if len(beside) != 1 or not (long or _is_half(own, other, built, stretch)):
+    if len(beside) != 1 or not (long or _is_half(own, other, built, stretch, top)):
         return len(beside) == 2 and min(tops) >= _GARAGE and top >= _LEAST * min(tops)
     if end - begin < _END:
         return False
@@ -332,16 +332,17 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     return bool(abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1])
 
 
-def _is_half(own: _Profile, other: _Profile, built: Mask, stretch: _Stretch) -> bool:
+def _is_half(own: _Profile, other: _Profile, built: Mask, stretch: _Stretch, top: float) -> bool:
     """Tell whether what one epoch alone has, with its walls, is as long as the house that both have.
 
-    A narrower half is of one house that was shortened. Narrow houses are higher than wide.
+    A narrower half is of one house that was shortened. Narrow houses are higher than wide; ``top`` is the
+    height of the stretch [m].
     """
     alone = own.columns.any(axis=1) & own.hardly_in(other)
     walls = slice(max(stretch.begin - _WALLS, 0), stretch.end + _WALLS)
     halves = np.count_nonzero(built & ~alone), np.count_nonzero(alone[walls])
-    high = float(np.median(own.top[stretch.begin : stretch.end])) > _COLUMN * max(halves)
-    return bool(min(halves) >= max(_HALF * max(halves), _NARROW if high else _PAIR))
+    least = _NARROW if top > _COLUMN * max(halves) else _PAIR
+    return bool(min(halves) >= max(_HALF * max(halves), least))
 
 
 def _is_house_wide(slots: Mask) -> bool:

@@ -27,7 +27,7 @@ class ChangedHousesNumbers(StrictModel):
     gone_share: float = Field(
         0.5,
         description="Fraction of the foot of a front that one epoch alone must have for the house to be gone "
-        "or new",
+        "or new, and of what is above the foot for its storeys to be",
     )
     left_columns: float = Field(
         0.3,
