@@ -28,7 +28,7 @@ has_apt_ros() { [ -f "$APT_ROS/setup.bash" ]; }
 
 # One hash over the names and contents of files or folders, given relative to the root.
 digest() {
-    (cd "$ROOT" && find -H "$@" -type f ! -name '*.pyc' ! -path '*.egg-info/*' -print0 2>/dev/null |
+    (cd "$ROOT" && find -H "$@" -type f ! -path '*/__pycache__/*' ! -path '*.egg-info/*' -print0 2>/dev/null |
         LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1)
 }
 
@@ -329,6 +329,21 @@ remove_old_kernels() {
     [ -z "$newest" ] || find "$1" -name '*.nb[ci]' ! -newer "$newest" -delete
 }
 
+# What is imported writes its bytecode; see the script.
+write_bytecode() {
+    local wanted
+    wanted="$(venv_stamp) $(digest "${PYTHON_PACKAGES[@]/#/src/}")"
+    if [ "$(cat "$VENV/.bytecode" 2>/dev/null)" = "$wanted" ]; then return; fi
+    say "writing bytecode"
+    (
+        set +u
+        # shellcheck disable=SC1091
+        source "$WS/env.sh"
+        python "$ROOT/scripts/write_bytecode.py" "${PYTHON_PACKAGES[@]}"
+    ) || fail "a package cannot be imported, see above"
+    echo "$wanted" >"$VENV/.bytecode"
+}
+
 main() {
     case "$SCOPE" in all | demo) ;; *) fail "$SCOPE: give nothing, or demo" ;; esac
     require_system_packages
@@ -336,6 +351,7 @@ main() {
     set_up_workspace
     make_slim
     remove_old_kernels "$ROOT/src"
+    write_bytecode
     say "ready: source ros2_ws/env.sh"
 }
 

@@ -200,6 +200,18 @@ def test_worker_processes_leave_what_one_process_leaves(tmp_path):
     assert results[0] == results[1]
 
 
+def test_workers_begin_with_the_task_that_answers_for_all_tiles_though_it_reads_less(tmp_path):
+    executor = LocalPool(1)
+    runner = TaskRunner(DiskStore(tmp_path), executor)
+    small, large = (runner.put("cut", f"{size}_0", Values(np.arange(size))) for size in (10.0, 1e5))
+    tiles = [Task("sum", "0_0", add_up, {"own": small}, {"factor": 1.0})]
+    tiles.append(Task("sum", "1_0", add_up, {"own": large}, {"factor": 1.0}))
+    whole = Task("fit", "all", add_up, {"own": small}, {"factor": 1.0})
+    runner.together([tiles, [whole]])
+    executor.close()
+    assert [spent.name for spent in runner.spent] == ["all", "1_0", "0_0"]
+
+
 def test_a_killed_worker_is_replaced_and_its_task_done(tmp_path, caplog):
     executor = LocalPool(2)
     runner = TaskRunner(DiskStore(tmp_path / "stages"), executor)

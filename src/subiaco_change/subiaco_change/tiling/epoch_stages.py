@@ -75,7 +75,7 @@ from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
 from subiaco_geo.trajectories import Trajectory
 from subiaco_geo.work.executors import Start, work_beside
 from subiaco_geo.work.task_runner import TaskRunner
-from subiaco_geo.work.tasks import Task
+from subiaco_geo.work.tasks import WHOLE, Task
 
 _LOG = logging.getLogger(__name__)
 #: Name of an epoch in the stages that look at one alone.
@@ -380,7 +380,7 @@ class Epochs:
     def register(self, transform: Floats | None) -> str:
         """Register the epochs, and beside it label every tile of each in its own frame; return the key."""
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.clouds[e].items()}
-        task = Task("registration", "all", find_registration, clouds, self.registering(transform))
+        task = Task("registration", WHOLE, find_registration, clouds, self.registering(transform))
         stages: list[Sequence[Task[Any]]] = [[task], *(self._semantics(side) for side in self.sides)]
         try:
             found, *prepared = self.runner.together(stages, (0.05, 0.47))
@@ -389,9 +389,9 @@ class Epochs:
                 raise
             raise RegistrationError(f"{error}{_feet_hint(*self.extents)}") from error
         self.prepared = dict(zip(EPOCHS, prepared, strict=True))
-        for warning in self.registration(found["all"]).warnings:
+        for warning in self.registration(found[WHOLE]).warnings:
             _LOG.warning("registration: %s", warning)
-        return found["all"]
+        return found[WHOLE]
 
     def registering(self, transform: Floats | None) -> RegistrationParams:
         """Return the parameters of a registration, or of a given transform."""
@@ -409,9 +409,9 @@ class Epochs:
         """Give the objects of both epochs numbers over their tiles."""
         params = MergingParams("instance" in self.given)
         inputs = [{f"prepared/{n}": k for n, k in self.prepared[epoch].items()} for epoch in EPOCHS]
-        stages = [[Task("objects", "all", unite, own, params)] for own in inputs]
+        stages = [[Task("objects", WHOLE, unite, own, params)] for own in inputs]
         found = self.runner.together(stages, (0.47, 0.48))
-        self.united = {epoch: keys["all"] for epoch, keys in zip(EPOCHS, found, strict=True)}
+        self.united = {epoch: keys[WHOLE] for epoch, keys in zip(EPOCHS, found, strict=True)}
 
     def _semantics(self, side: EpochContext) -> list[Task[SegmentationParams]]:
         """Tasks of one epoch; they do not tell whether it is *before* or *after*, and serve as both."""
@@ -436,7 +436,7 @@ class Epochs:
         if side.crs is not None:
             return {}
         clouds = {f"cloud/{n}": k for n, k in own.items()}
-        task = Task("levelling", "all", find_upright, clouds, LevellingParams(side))
+        task = Task("levelling", WHOLE, find_upright, clouds, LevellingParams(side))
         return {"levelling": self.runner.one(task, (0.05, 0.05))}
 
     def recut(self, registration: str) -> None:

@@ -61,7 +61,7 @@ from subiaco_change.tiling.stage_inputs import PairRegistration, TileParams, sli
 from subiaco_change.tiling.table_stage import Table, build_table
 from subiaco_change.visibility_evidence import weakest
 from subiaco_geo.tiles import neighbours
-from subiaco_geo.work.tasks import Inputs, Task
+from subiaco_geo.work.tasks import WHOLE, Inputs, Task
 
 #: Stages in their order; *compare* and what it rests on run twice where the registration is refined.
 STAGES = (
@@ -112,8 +112,8 @@ class ChangeRun(Epochs):
         counts = self._counts()
         inputs = {**frame, **{f"candidate_pairs/{tile}": key for tile, key in links.items()}}
         config = slice_of(GroupSlice, self.config)
-        params = GroupParams("all", self.size, self.sides, self.origin, config, counts)
-        groups = self.runner.one(Task("groups", "all", find_groups, inputs, params), spans[5])
+        params = GroupParams(WHOLE, self.size, self.sides, self.origin, config, counts)
+        groups = self.runner.one(Task("groups", WHOLE, find_groups, inputs, params), spans[5])
         comparing, reach = self._groups(groups, frame, lods)
         grounds = self._tasks("ground", tile_ground, GroundSlice, self._seen(frame, lods, sight=False))
         compared, ground = self.runner.together([comparing, grounds], (spans[6][0], spans[7][1]))
@@ -121,7 +121,7 @@ class ChangeRun(Epochs):
         decided = self._decide(compared, spans[8])
         trust = partial(rows_of_pair, simulated=self.simulated, config=self.config.confidence)
         table = build_table(self.runner, decided, patched, counts, self.origin, self._weaker(), trust)
-        key = self.runner.put("table", "all", table.columns)
+        key = self.runner.put("table", WHOLE, table.columns)
         return ComparisonResult(
             registration,
             frame,
@@ -276,7 +276,7 @@ class ChangeRun(Epochs):
     ) -> str:
         """Make one result of the results of all tiles."""
         inputs = {**frame, **{f"{alias}/{tile}": key for tile, key in keys.items()}}
-        return self.runner.one(Task(stage, "all", function, inputs, self._params("all", config)), span)
+        return self.runner.one(Task(stage, WHOLE, function, inputs, self._params(WHOLE, config)), span)
 
     def _groups(
         self, groups: str, frame: Mapping[str, str], lods: Mapping[str, str]
@@ -354,9 +354,9 @@ class ChangeRun(Epochs):
         """
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.points[e].items()}
         inputs = {**clouds, **changed, "registration": first.registration}
-        task = Task("refine", "all", register_again, inputs, self.registering(None))
+        task = Task("refine", WHOLE, register_again, inputs, self.registering(None))
         beside = self._labels(first) if self.runner.executor.spare else []
-        key = self.runner.together([[task], beside], (0.73, 0.76))[0]["all"]
+        key = self.runner.together([[task], beside], (0.73, 0.76))[0][WHOLE]
         found = self.runner.load(PairRegistration, key)
         return key, found.shift, () if found.failed is None else (found.failed,)
 

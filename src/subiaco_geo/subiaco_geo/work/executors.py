@@ -23,7 +23,7 @@ from threadpoolctl import ThreadpoolController
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.signals import interrupt_blocked
 from subiaco_geo.work.store import DiskStore, Store
-from subiaco_geo.work.tasks import Task, TaskCost, execute
+from subiaco_geo.work.tasks import WHOLE, Task, TaskCost, execute
 
 _LOG = logging.getLogger(__name__)
 _ATTEMPTS = 3  # pools started before lost workers are taken for a lasting fault
@@ -96,7 +96,7 @@ class InProcess:
 
 
 class LocalPool:
-    """Worker processes on this machine, one thread each, which take the largest tasks first.
+    """Worker processes on this machine, one thread each, which take the longest tasks first.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class LocalPool:
         """Do the tasks; what a killed worker left undone is done by a fresh one."""
         if not store.shared:
             raise InputError("worker processes need stages that they see; use a DiskStore")
-        left = {task.key: task for task in sorted(tasks, key=lambda task: -_weight(store, task))}
+        left = {task.key: task for task in sorted(tasks, key=partial(_order, store))}
         for attempt in range(_ATTEMPTS):
             try:
                 yield from self._drain(store, left)
@@ -261,9 +261,13 @@ def _signals_deferred() -> Iterator[None]:
             signal.raise_signal(came[0])
 
 
-def _weight(store: Store, task: Task[Any]) -> int:
-    """Bytes that a task reads: what is large comes first, so that no worker ends long after the others."""
-    return sum(store.size(key) for key in task.inputs.values())
+def _order(store: Store, task: Task[Any]) -> tuple[bool, int]:
+    """Put first what probably lasts long, so that no worker ends long after the others.
+
+    A task that answers for all tiles lasts longer than that of one tile, though it may read fewer bytes:
+    registration does without the beams around a tile. Of tiles, those that read most come first.
+    """
+    return task.name != WHOLE, -sum(store.size(key) for key in task.inputs.values())
 
 
 @contextmanager

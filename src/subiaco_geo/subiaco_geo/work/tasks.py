@@ -21,6 +21,8 @@ from subiaco_geo.work.source_code import source_fingerprint
 from subiaco_geo.work.store import Store
 
 Params = TypeVar("Params")
+#: Name of a task that answers for all tiles.
+WHOLE = "all"
 
 
 def fingerprint(value: Any) -> str:
@@ -94,7 +96,7 @@ class Task(Generic[Params]):
     Parameters
     ----------
     stage, name : str
-        ``name`` is a tile, or *all*.
+        ``name`` is a tile, or :data:`WHOLE`.
     function : callable
         At the top of a module, so that other processes find it: inputs and parameters to a dataclass that
         :func:`~subiaco_geo.work.results.pack` can store.
