@@ -14,7 +14,11 @@ def write_bytecode(folder: Path) -> subprocess.CompletedProcess[str]:
     """Run the script on the package of a folder, where Python is told to write none."""
     environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.run(
-        [sys.executable, str(SCRIPT), "surveyed"], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, str(SCRIPT), "surveyed"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
