@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from subiaco_change.outputs.geopackage import layers_of
 from subiaco_change.outputs.reviews import review_counts
 from subiaco_change.records import SEMANTIC_COLOURS
 from subiaco_geo.atomic import whole_file
+from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.work.executors import Start
@@ -172,11 +173,13 @@ def write_report(
     blocks, marks = found.blocks.blocks(), changed_marks(changed)
     pictured = pictured_rows(changed, _MOST_PICTURES)
     drawing = start(evidence.evidence_pictures, found.epochs, pictured)
-    drawn_blocks = [
-        _block_context(found, block, marks) for block in fullest_blocks(blocks, marks, _MOST_BLOCKS)
+    drawing_blocks = [
+        start(_block_context, found.epochs, block, [m for m in marks if block.holds(m.x, m.y)])
+        for block in fullest_blocks(blocks, marks, _MOST_BLOCKS)
     ]
     overview = pictures.overview(found.overview, blocks, marks)
     rows = page_rows(change.table)
+    drawn_blocks = [drawing_block() for drawing_block in drawing_blocks]
     drawn = dict(zip(pictured["object_id"], drawing(), strict=True))
     chunks = picture_chunks([int(number) for number in changed["object_id"]], drawn)
     inside = len(changed) <= _MOST_INSIDE
@@ -330,20 +333,21 @@ def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
     }
 
 
-def _block_context(found: Gathered, block: pictures.Block, marks: list[pictures.Mark]) -> dict[str, Any]:
-    """Return pictures of a block and what is drawn over them, in metres from the north-west corner."""
-    before, after = (epoch.inside(*block.bounds) for epoch in found.epochs)
+def _block_context(
+    epochs: Sequence[CloudFile], block: pictures.Block, marks: list[pictures.Mark]
+) -> dict[str, Any]:
+    """Return pictures of a block, and the marks that it holds in metres from the north-west corner."""
+    before, after = (epoch.inside(*block.bounds) for epoch in epochs)
     drawn = pictures.block_pictures(before, after, block)
     west, south, east, north = block.bounds
-    inside = [m for m in marks if block.holds(m.x, m.y)]
     return {
         "name": block.name,
         "core": block.core,
         "side": east - west,
         "corner": (west, south),
         "heights": height_range((before, after)),
-        "changed": [m.text for m in inside],
-        "marks": [{"x": m.x - west, "y": north - m.y, "text": m.text} for m in inside[:_MOST_MARKS]],
+        "changed": [m.text for m in marks],
+        "marks": [{"x": m.x - west, "y": north - m.y, "text": m.text} for m in marks[:_MOST_MARKS]],
         "pictures": [
             {"kind": kind, "caption": pictures.KINDS[kind], "uri": _data_uri(drawn[kind])} for kind in _SHOWN
         ],
