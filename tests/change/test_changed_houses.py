@@ -96,6 +96,47 @@ def test_a_half_of_a_pair_is_a_house_and_a_shorter_part_of_a_house_is_not():
     assert changed(before[:20], np.where(np.arange(20) < 10, 6.0, 0.0)) == []  # a house that lost its half
 
 
+def fronts(tops, other):
+    """Voxels of a row of tall houses: of fronts the ``other`` epoch saw free what exceeds its own tops.
+
+    The roofs behind them were not observed by the other epoch.
+    """
+    above = roofs(tops, other)
+    x, z = (a.ravel() for a in np.meshgrid((np.arange(len(tops)) + 0.5) * CELL, np.arange(0.25, 20.0, CELL)))
+    slot = (x / CELL).astype(int)
+    xyz = np.column_stack([x, np.full(len(x), CELL / 2), z])[z < tops[slot]]
+    same = (z < other[slot])[z < tops[slot]]
+    yes = np.ones(len(xyz), dtype=bool)
+    front = Voxels(
+        np.zeros(len(xyz), int), xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), xyz[:, 2], yes, same, yes
+    )
+    return replace(above, observed=np.zeros(len(above), dtype=bool)).add(front)
+
+
+def beside_a_raised_house(front, top):
+    """Where a building of a front and a top [m] was built at the end of a house of 12 m that rose by 3 m."""
+    width = round(front / CELL)
+    before, after = np.full(24 + width, 12.0), np.full(24 + width, 15.0)
+    before[24:], after[24:] = 0.0, top
+    pair = fronts(before, after), fronts(after, before)
+    return pair, 24 * CELL
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["built", "demolished"])
+@pytest.mark.parametrize("top", [19.0, 11.0])
+def test_a_tall_building_beside_a_house_that_rose_or_fell_is_a_house(top, sign):
+    pair, wall = beside_a_raised_house(11.0, top)
+    house = changed_houses(*pair[::sign])[1]
+    x = np.concatenate([voxels.xyz[:, 0] for voxels in pair[::sign]])
+    assert (house[x > wall] > 0).all()
+    assert (house[x < wall - 1.0] == 0).all()
+
+
+@pytest.mark.parametrize(("front", "top"), [(6.0, 15.0), (11.0, 8.0)], ids=["narrow", "low"])
+def test_a_narrow_or_low_part_beside_a_house_that_rose_is_an_extension(front, top):
+    assert not changed_houses(*beside_a_raised_house(front, top)[0])[1].any()
+
+
 def lowered(share):
     """Voxels of a row of which the later epoch shows a verandah of the middle house, and nothing above.
 

@@ -37,6 +37,7 @@ _GONE = NUMBERS.changed_houses.gone_share
 _LEFT = NUMBERS.changed_houses.left_columns
 _END = round(NUMBERS.changed_houses.end_front / _COLUMN)
 _SAME = NUMBERS.changed_houses.same_top
+_TALL = NUMBERS.changed_houses.tall_top
 _ALIKE = NUMBERS.changed_houses.neighbour_share
 _ROW = NUMBERS.changed_houses.houses_of_row
 _HALF = NUMBERS.changed_houses.half_of_pair
@@ -115,6 +116,21 @@ class _Profile:
         """Tell in which slots (S,) the other epoch has few of its columns, also where it has none."""
         shared = np.count_nonzero(self.columns & other.columns, axis=1)
         return np.asarray(shared <= _LEFT * np.count_nonzero(self.columns, axis=1))
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A row in both epochs, and what they show together in every slot (S,).
+
+    ``kind``; ``built``: whether both epochs have a house there; ``share``: the fraction of it that changed;
+    ``step``: how far its top rose or fell [m], infinite where one epoch alone has a house.
+    """
+
+    sides: Sequence[_Profile]
+    kind: Ints
+    built: Mask
+    share: Floats
+    step: Floats
 
 
 def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
@@ -245,28 +261,46 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     """Find the changed houses of a row: each begins or ends beside one that did not change.
 
     Where a part of a stretch is no house of the row, none of it is. A house was reshaped where it rose or
-    fell: anything beside it in one epoch alone is a wing.
+    fell: anything beside it in one epoch alone is a wing. Where a stretch has no such house, its neighbours
+    in the row may have changed too: then a tall building of one epoch alone may begin or end beside a house
+    that was reshaped.
     """
     kind = _kinds(sides)
     same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known)
     gone = np.isin(kind, _ONLY + _BUT_FOOT)
     step = np.where(gone, np.inf, np.maximum(sides[0].step, sides[1].step))
     built = (sides[0].top > 0) & (sides[1].top > 0) & ~gone & (kind != _PARTLY)
-    houses: list[_Stretch] = []
     most = np.maximum(*(np.where(gone, side.alone, side.above) for side in sides))
-    for begin, end in _runs(_clearly(most, kind != _UNCHANGED)):
-        clear = float(most[begin:end].mean())
+    tall = np.maximum(sides[0].top, sides[1].top) >= _TALL
+    row = _Row(sides, kind, built, most, step)
+    houses: list[_Stretch] = []
+    for begin, end in _runs(kind != _UNCHANGED):
+        region = np.zeros(len(kind), dtype=bool)
+        region[begin:end] = True
+        houses.extend(_houses_of(row, region, same) or _houses_of(row, region & gone & tall, same | built))
+    return houses
+
+
+def _houses_of(row: _Row, changed: Mask, beside: Mask) -> list[_Stretch]:
+    """Find the houses in changed slots (S,) of a row, next to slots that they may lie ``beside``."""
+    houses: list[_Stretch] = []
+    for begin, end in _runs(_clearly(row.share, changed)):
         walls = (
-            _is_wall(same[max(begin - _WIDTH, 0) : begin][::-1], step[begin:end]),
-            _is_wall(same[end : end + _WIDTH], step[begin:end][::-1]),
+            _is_wall(beside[max(begin - _WIDTH, 0) : begin][::-1], row.step[begin:end]),
+            _is_wall(beside[end : end + _WIDTH], row.step[begin:end][::-1]),
         )
-        if clear < _CLEAR or not any(walls):
+        if row.share[begin:end].mean() < _CLEAR or not any(walls):
             continue
         parts = [
-            _Stretch(first, last, int(np.bincount(kind[first:last]).argmax()), float(most[first:last].mean()))
-            for first, last in _by_kind(kind, begin, end)
+            _Stretch(
+                first,
+                last,
+                int(np.bincount(row.kind[first:last]).argmax()),
+                float(row.share[first:last].mean()),
+            )
+            for first, last in _by_kind(row.kind, begin, end)
         ]
-        if all(_is_house(sides, built, part) for part in parts):
+        if all(_is_house(row.sides, row.built, part) for part in parts):
             houses.extend(parts)
     return houses
 
@@ -308,8 +342,8 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
 
     What one epoch alone has between houses, which are higher than garages, is one if it is about as high as
     the lower of them: an extension is lower. At the end of a long row, or as half of a pair, it must be as
-    high and as deep as the house beside it, and wider than most extensions. ``built``: slots (S,) in which
-    both epochs have a house.
+    high and as deep as the house beside it, and wider than most extensions. No extension is as high as a tall
+    building, of which a street hardly shows a roof. ``built``: slots (S,) in which both epochs have a house.
     """
     if stretch.taller is None:
         return stretch.kind != _PARTLY
@@ -329,6 +363,8 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
     if end - begin < _END:
         return False
     depths = [np.count_nonzero(own.columns[slots], axis=1).mean() for slots in (slice(begin, end), beside[0])]
+    if top >= _TALL:
+        return bool(top >= _LEAST * tops[0] and depths[0] >= _DEEP)
     return bool(abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1])
 
 
@@ -342,7 +378,8 @@ def _is_half(own: _Profile, other: _Profile, built: Mask, stretch: _Stretch, top
     walls = slice(max(stretch.begin - _WALLS, 0), stretch.end + _WALLS)
     halves = np.count_nonzero(built & ~alone), np.count_nonzero(alone[walls])
     least = _NARROW if top > _COLUMN * max(halves) else _PAIR
-    return bool(min(halves) >= max(_HALF * max(halves), least))
+    ratio = _ALIKE if top >= _TALL else _HALF
+    return bool(min(halves) >= max(ratio * max(halves), least))
 
 
 def _is_house_wide(slots: Mask) -> bool:

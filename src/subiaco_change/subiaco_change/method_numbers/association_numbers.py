@@ -99,6 +99,11 @@ class ChangedHousesNumbers(StrictModel):
         1.0, description="Distance beside a changed house of a row within which its walls lie [m]"
     )
     same_top: float = Field(0.75, description="Largest height difference of houses of one height [m]")
+    tall_top: float = Field(
+        9.0,
+        description="Height from which a building at the end of a row is no extension of the house beside "
+        "it, though it is higher or less deep [m]",
+    )
     neighbour_share: float = Field(
         0.8,
         description="Fraction of the width of a house along which its neighbour must be unchanged",
