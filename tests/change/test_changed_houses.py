@@ -113,28 +113,27 @@ def fronts(tops, other):
     return replace(above, observed=np.zeros(len(above), dtype=bool)).add(front)
 
 
-def beside_a_raised_house(front, top):
-    """Where a building of a front and a top [m] was built at the end of a house of 12 m that rose by 3 m."""
-    width = round(front / CELL)
-    before, after = np.full(24 + width, 12.0), np.full(24 + width, 15.0)
-    before[24:], after[24:] = 0.0, top
-    pair = fronts(before, after), fronts(after, before)
-    return pair, 24 * CELL
+def beside_a_raised_house(front, top, house=12.0):
+    """A house that rose by 3 m, and a building of a front and a top [m] that was built beside it."""
+    wall = round(house / CELL)
+    before, after = (np.full(wall + round(front / CELL), height) for height in (12.0, 15.0))
+    before[wall:], after[wall:] = 0.0, top
+    return fronts(before, after), fronts(after, before)
 
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["built", "demolished"])
-@pytest.mark.parametrize("top", [19.0, 11.0])
-def test_a_tall_building_beside_a_house_that_rose_or_fell_is_a_house(top, sign):
-    pair, wall = beside_a_raised_house(11.0, top)
-    house = changed_houses(*pair[::sign])[1]
-    x = np.concatenate([voxels.xyz[:, 0] for voxels in pair[::sign]])
-    assert (house[x > wall] > 0).all()
-    assert (house[x < wall - 1.0] == 0).all()
+@pytest.mark.parametrize(("top", "house"), [(19.0, 12.0), (11.0, 12.0), (15.0, 17.0)])
+def test_a_tall_building_beside_a_house_that_rose_or_fell_is_a_house(top, house, sign):
+    pair = beside_a_raised_house(11.0, top, house)[::sign]
+    changed_one = changed_houses(*pair)[1] > 0
+    x = np.concatenate([voxels.xyz[:, 0] for voxels in pair])
+    assert changed_one[x > house].all()
+    assert not changed_one[x < house - 1.0].any()
 
 
 @pytest.mark.parametrize(("front", "top"), [(6.0, 15.0), (11.0, 8.0)], ids=["narrow", "low"])
 def test_a_narrow_or_low_part_beside_a_house_that_rose_is_an_extension(front, top):
-    assert not changed_houses(*beside_a_raised_house(front, top)[0])[1].any()
+    assert not changed_houses(*beside_a_raised_house(front, top))[1].any()
 
 
 def lowered(share):

@@ -38,6 +38,7 @@ _LEFT = NUMBERS.changed_houses.left_columns
 _END = round(NUMBERS.changed_houses.end_front / _COLUMN)
 _SAME = NUMBERS.changed_houses.same_top
 _TALL = NUMBERS.changed_houses.tall_top
+_TALL_HALF = NUMBERS.changed_houses.tall_half
 _ALIKE = NUMBERS.changed_houses.neighbour_share
 _ROW = NUMBERS.changed_houses.houses_of_row
 _HALF = NUMBERS.changed_houses.half_of_pair
@@ -378,7 +379,7 @@ def _is_half(own: _Profile, other: _Profile, built: Mask, stretch: _Stretch, top
     walls = slice(max(stretch.begin - _WALLS, 0), stretch.end + _WALLS)
     halves = np.count_nonzero(built & ~alone), np.count_nonzero(alone[walls])
     least = _NARROW if top > _COLUMN * max(halves) else _PAIR
-    ratio = _ALIKE if top >= _TALL else _HALF
+    ratio = _TALL_HALF if top >= _TALL else _HALF
     return bool(min(halves) >= max(ratio * max(halves), least))
 
 

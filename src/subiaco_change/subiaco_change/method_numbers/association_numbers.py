@@ -104,6 +104,10 @@ class ChangedHousesNumbers(StrictModel):
         description="Height from which a building at the end of a row is no extension of the house beside "
         "it, though it is higher or less deep [m]",
     )
+    tall_half: float = Field(
+        0.6,
+        description="Smallest ratio of the widths of a building that is so tall and of the rest of its row",
+    )
     neighbour_share: float = Field(
         0.8,
         description="Fraction of the width of a house along which its neighbour must be unchanged",

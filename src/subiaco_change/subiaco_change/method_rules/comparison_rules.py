@@ -444,6 +444,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.changed_houses.wall_reach",
             "method_numbers.changed_houses.same_top",
             "method_numbers.changed_houses.tall_top",
+            "method_numbers.changed_houses.tall_half",
             "method_numbers.changed_houses.neighbour_share",
         ),
     ),
