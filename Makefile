@@ -47,6 +47,7 @@ format: setup  ## let ruff rewrite what it can
 clean:  ## results and caches; keeps .venv, the workspace and bags
 	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find src tests scripts -name __pycache__ -prune -exec rm -rf {} +
+	rm -f .venv/.bytecode
 
 distclean: clean  ## everything that was installed or built too
 	rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log

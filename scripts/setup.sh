@@ -196,7 +196,7 @@ set_up_venv() {
     if venv_is_sound && [ "$(cat "$VENV/.installed" 2>/dev/null)" = "$wanted" ] && has_scope; then return; fi
     venv_is_sound || create_venv
     touch "$VENV/.installing"
-    rm -f "$VENV/.installed"
+    rm -f "$VENV/.installed" "$VENV/.bytecode"
     install_requirements
     if [ "$SCOPE" = all ] && ! has_apt_ros; then "$VENV/bin/python" "$ROOT/scripts/patch_wheel_cmake.py"; fi
     "$VENV/bin/python" "$ROOT/scripts/slim_venv.py"

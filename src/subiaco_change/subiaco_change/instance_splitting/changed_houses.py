@@ -301,7 +301,7 @@ def _houses_of(row: _Row, changed: Mask, beside: Mask) -> list[_Stretch]:
             )
             for first, last in _by_kind(row.kind, begin, end)
         ]
-        if all(_is_house(row.sides, row.built, part) for part in parts):
+        if all(_is_house(row, part) for part in parts):
             houses.extend(parts)
     return houses
 
@@ -338,18 +338,18 @@ def _by_kind(kind: Ints, begin: int, end: int) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool:
+def _is_house(row: _Row, stretch: _Stretch) -> bool:
     """Tell whether a changed stretch of a row is a house of the row, and no wing of its last house.
 
     What one epoch alone has between houses, which are higher than garages, is one if it is about as high as
     the lower of them: an extension is lower. At the end of a long row, or as half of a pair, it must be as
     high and as deep as the house beside it, and wider than most extensions. No extension is as high as a tall
-    building, of which a street hardly shows a roof. ``built``: slots (S,) in which both epochs have a house.
+    building, of which a street hardly shows a roof.
     """
     if stretch.taller is None:
         return stretch.kind != _PARTLY
     begin, end = stretch.begin, stretch.end
-    own, other = sides[stretch.taller], sides[1 - stretch.taller]
+    own, other, built = row.sides[stretch.taller], row.sides[1 - stretch.taller], row.built
     top = float(np.median(own.top[begin:end]))
     around = (
         [slice(max(begin - gap - _WIDTH, 0), max(begin - gap, 0)) for gap in range(_WALLS + 1)],
@@ -372,8 +372,8 @@ def _is_house(sides: Sequence[_Profile], built: Mask, stretch: _Stretch) -> bool
 def _is_half(own: _Profile, other: _Profile, built: Mask, stretch: _Stretch, top: float) -> bool:
     """Tell whether what one epoch alone has, with its walls, is as long as the house that both have.
 
-    A narrower half is of one house that was shortened. Narrow houses are higher than wide; ``top`` is the
-    height of the stretch [m].
+    A narrower half is of one house that was shortened. Narrow houses are higher than wide, and tall ones need
+    not be alike; ``top`` is the height of the stretch [m].
     """
     alone = own.columns.any(axis=1) & own.hardly_in(other)
     walls = slice(max(stretch.begin - _WALLS, 0), stretch.end + _WALLS)

@@ -49,7 +49,7 @@ class ChangedHousesNumbers(StrictModel):
     least_top: float = Field(
         0.6,
         description="Smallest height of a building between two houses in one epoch alone, as a fraction of "
-        "that of the lower house, for the building to be a house of the row",
+        "that of the lower house, for the building to be a house of the row; also of a tall one at its end",
     )
     garage_height: float = Field(
         3.2, description="Height up to which a building beside a house is its garage, and no house [m]"
@@ -79,7 +79,8 @@ class ChangedHousesNumbers(StrictModel):
     )
     part_depth: float = Field(
         4.0,
-        description="Smallest depth to which both epochs saw a long building along its changed part [m]",
+        description="Smallest depth to which both epochs saw a long building along its changed part, and of "
+        "a tall building at the end of a row [m]",
     )
     rest_share: float = Field(
         2.0,
