@@ -78,6 +78,13 @@ def test_a_lower_wing_at_the_end_of_a_row_is_no_house_of_the_row():
     assert changed(houses((4.0, 4.0, 4.0, 0.0)), houses((4.0, 4.0, 4.0, 2.8))) == []
 
 
+@pytest.mark.parametrize(("top", "places"), [(3.0, []), (4.0, [1])], ids=["garage", "house"])
+@pytest.mark.parametrize("sign", [1, -1], ids=["built", "demolished"])
+def test_what_fills_the_gap_between_two_houses_and_is_as_low_as_a_garage_is_no_house(top, places, sign):
+    rows = houses((4.5, 0.0, 4.5)), houses((4.5, top, 4.5))
+    assert changed(*rows[::sign]) == places
+
+
 @pytest.mark.parametrize(("width", "is_house"), [(3.5, False), (5.0, True)])
 def test_a_narrow_part_at_the_end_of_a_row_may_be_an_extension_though_as_high_as_the_row(width, is_house):
     slots = round(width / CELL)

@@ -1,14 +1,20 @@
 """The outline of a crown: how far it moved, whatever was seen of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from test_measures import voxels
 
 from subiaco_change.decisions.plant_measures import (
     OutlineConfig,
     PlantConfig,
     change_of_base,
     compare_outlines,
+    part_on_side,
 )
+from subiaco_change.objects.voxel_objects import ObjectInstance
+from subiaco_geo.codes import Semantic
 
 
 def crown(count, radius, seed, side=None):
@@ -62,3 +68,51 @@ def test_the_base_of_a_crown_tells_how_far_its_lower_branches_were_cut(lifted):
 def test_few_columns_say_nothing_of_the_base_of_a_crown():
     fall, sigma = change_of_base(crown(60, 0.5, 1), crown(60, 0.5, 2), PlantConfig())
     assert np.isnan([fall, sigma]).all()
+
+
+def tree(xyz, lost):
+    """A crown whose voxels (N, 3) the other epoch saw free where they are ``lost`` (N,)."""
+    cells = replace(voxels(xyz), occupied_in_other=~lost)
+    return ObjectInstance(0, Semantic.VEGETATION, 0.8, np.arange(len(xyz)), cells, 0.05, xyz)
+
+
+def parted(xyz, lost):
+    """Return which fraction of a crown was lost on one side, and the same of the epochs in turn."""
+    before, after = tree(xyz, lost), tree(xyz[~lost], np.zeros(np.count_nonzero(~lost), dtype=bool))
+    return part_on_side([before], [after], PlantConfig()), part_on_side([after], [before], PlantConfig())
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_side_that_was_cut_from_a_crown_is_the_part_that_is_missing(axis, sign):
+    xyz = crown(1500, 3.0, 1)
+    lost = sign * (xyz - (0.0, 0.0, 5.0))[:, axis] > 0.6
+    cut, grown = parted(xyz, lost)
+    assert 0.2 < cut < np.mean(lost)
+    assert grown == 0.0
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_leaves_that_fell_all_over_a_crown_are_no_side_of_it(share):
+    xyz = crown(1500, 3.0, 2)
+    lost = np.random.default_rng(3).uniform(size=len(xyz)) < share
+    assert parted(xyz, lost) == (0.0, 0.0)
+
+
+def test_another_plant_in_the_instance_of_a_crown_is_no_side_of_it():
+    xyz = np.concatenate([crown(1500, 2.0, 1), np.add(crown(700, 1.5, 2), (6.0, 0.0, 0.0))])
+    lost = np.repeat([False, True], [1500, 700])
+    assert parted(xyz, lost) == (0.0, 0.0)
+
+
+def test_surface_of_one_epoch_alone_that_nobody_looked_through_is_no_cut():
+    xyz = crown(1500, 3.0, 1)
+    kept = tree(xyz[xyz[:, 0] < 0.6], np.zeros(np.count_nonzero(xyz[:, 0] < 0.6), dtype=bool))
+    assert part_on_side([tree(xyz, np.zeros(len(xyz), dtype=bool))], [kept], PlantConfig()) == 0.0
+
+
+def test_what_stood_beneath_a_crown_is_no_part_of_it():
+    xyz = crown(1500, 3.0, 1)
+    car = np.random.default_rng(4).uniform((2.0, -2.0, 0.2), (5.0, 2.0, 1.4), (500, 3))
+    lost = np.repeat([False, True], [len(xyz), len(car)])
+    assert parted(np.concatenate([xyz, car]), lost)[0] == 0.0

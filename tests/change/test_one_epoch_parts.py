@@ -505,6 +505,25 @@ def test_a_house_of_a_row_of_which_only_the_front_was_seen_has_a_row_of_its_own(
     assert kept[0] == kept[1]
 
 
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+@pytest.mark.parametrize(
+    ("width", "depth", "own_row"),
+    [(3.5, 8.0, False), (6.0, 4.0, False), (6.0, 8.0, True), (11.0, 4.0, True)],
+)
+def test_a_narrow_or_shallow_body_at_the_end_of_a_house_is_its_wing(taken_away, width, depth, own_row):
+    """Its epoch holds it apart, so that what changed has a row of its own if it is a house of a row."""
+    house = house_instance(walls(12, 8, 5), 0)
+    part = house_instance(np.add(walls(width, depth, 5), (12.25, 0, 0)), 1, held=False)
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    lone = ([part], []) if taken_away else ([], [part])
+    matched = [decide_object(*pair, Semantic.BUILDING, rules) for pair in (([house], [house]), lone)]
+    told = split_row_houses(join_building_extensions(matched, rules), rules)
+    labels = sorted(change.decision.change.label for change in told)
+    alone = "Removed" if taken_away else "Added"
+    assert len(told) == 1 + own_row
+    assert (labels == [alone, "Unchanged"]) == own_row
+
+
 @pytest.mark.parametrize("x", [0.0, 0.7, 200.3])
 @pytest.mark.parametrize(("gap", "wing"), [(2.0, True), (4.0, False)])
 def test_a_part_between_remains_of_a_house_is_a_wing_where_they_lie_closer_than_a_house_is_wide(gap, wing, x):

@@ -223,6 +223,31 @@ def test_a_crown_that_lost_surface_and_whose_base_rose_was_pruned_from_below(bas
     assert label(replace(lifted, surface=-0.02), null).change is Change.UNCHANGED
 
 
+@pytest.mark.parametrize("sign", [1, -1], ids=["grown", "cut"])
+def test_surface_that_changed_on_one_side_of_a_crown_is_no_matter_of_leaves(sign):
+    null = fit_null(street(30, 0.0, 0.05), NULL)
+    leaves = replace(TREE, rise=0.0, rise_sigma=0.02, surface=0.3 * sign)
+    on_side = {"gained_on_side": 0.2} if sign > 0 else {"lost_on_side": 0.2}
+    other_side = {"lost_on_side": 0.2} if sign > 0 else {"gained_on_side": 0.2}
+    assert label(leaves, null).change is Change.UNCHANGED
+    assert label(replace(leaves, **other_side), null).change is Change.UNCHANGED
+    found = label(replace(leaves, **on_side), null).change
+    assert found is (Change.INCREASED if sign > 0 else Change.DECREASED)
+    assert label(replace(leaves, surface=0.1 * sign, **on_side), null).change is Change.UNCHANGED
+
+
+@pytest.mark.parametrize("rise", [0.6, -0.6])
+def test_a_piece_of_a_hedge_changed_only_if_the_space_above_its_lower_tops_was_observed(rise):
+    null = fit_null(street(30, 0.0, 0.05), NULL)
+    piece = replace(HEDGE, section=rise, section_gate=0.3, section_only=True, rise=math.nan)
+    moved = Change.INCREASED if rise > 0 else Change.DECREASED
+    assert label(piece, null).change is moved
+    unseen = label(replace(piece, tops_unseen=True), null)
+    assert unseen.change is Change.UNCHANGED
+    assert "the space above the lower tops was not observed: no change is claimed." in unseen.reason
+    assert label(replace(piece, tops_unseen=True, section_only=False), null).change is moved
+
+
 def leafless(count, loss):
     """Return trees that kept their extent; one in five lost up to ``loss`` of its surface in leaves."""
     calm = [replace(TREE, rise=0.0, rise_sigma=0.02, surface=v) for v in np.linspace(-0.03, 0.03, 4 * count)]

@@ -108,6 +108,12 @@ class PlantLimits(StrictModel):
         description="Fraction of their limits by which the tops or the outline of a plant must have moved "
         "for new or lost surface to be a change",
     )
+    side: float = Field(
+        0.05,
+        gt=0,
+        description="Fraction of a crown that appeared or disappeared on one side of it from which a change "
+        "of its surface is no matter of leaves; inf for never",
+    )
     surface: float = Field(
         0.15,
         gt=0,

@@ -125,9 +125,23 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
 
 
 def _decide_section(plant: PlantMeasures, null: VegetationNull) -> Decision:
+    """Decide a hedge by the tops of its section; a piece of one only where the space above was observed.
+
+    Of a piece that one survey hardly met, a beam or two over each column show no free space.
+    """
     expected = null.expected(plant, "rise")
     limit = max(plant.section_gate, null.certain * expected.sd)
-    return _decision(plant, _Excess("rise", plant.section, expected, limit, expected.sd))
+    decision = _decision(plant, _Excess("rise", plant.section, expected, limit, expected.sd))
+    if decision.change is Change.UNCHANGED or not plant.section_only or not _are_tops_unseen(plant):
+        return decision
+    measured = decision.reason.removesuffix(f": {_CONCLUSIONS[decision.change]}.")
+    reason = f"{measured}, but the space above the lower tops was not observed: no change is claimed."
+    return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
+
+
+def _are_tops_unseen(plant: PlantMeasures) -> bool:
+    """Tell whether both epochs have columns of a plant, and the space above the lower tops is not known."""
+    return applies("unseen_tops_of_plants", plant.tops_unseen)
 
 
 def _decide_whole(plant: PlantMeasures, gate: float, rules: PlantLimits, null: VegetationNull) -> Decision:
@@ -142,7 +156,7 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: PlantLimits, null: V
     for measure in extent:
         if abs(measure.strength) > 1:
             return _decision(plant, measure)
-    voxels_tell = not known and not applies("unseen_tops_of_plants", plant.tops_unseen)
+    voxels_tell = not known and not _are_tops_unseen(plant)
     names = ("top",) if plant.thin else ("top", "volume", "surface") if voxels_tell else ("volume", "surface")
     candidates = [found[name] for name in names]
     by_surface = _decide_by_surface(plant, candidates, extent, found, rules)
@@ -190,11 +204,13 @@ def _is_foliage(
 ) -> bool:
     """Tell whether surface appeared or disappeared in a plant whose tops, outline and base did not follow.
 
-    Leaves that fall open a crown to beams and leave its extent as it is.
+    Leaves that fall open a crown to beams and leave its extent as it is. A part of it that is missing on one
+    side is no matter of leaves.
     """
     sign = math.copysign(1.0, found.strength)
-    part = plant.rise_of_part if found.strength > 0 else plant.fall_of_part
-    if part > rules.height:
+    grew = found.strength > 0
+    part = plant.rise_of_part if grew else plant.fall_of_part
+    if part > rules.height or (plant.gained_on_side if grew else plant.lost_on_side) >= rules.side:
         return False
     known = [e.strength for e in extent if math.isfinite(e.value)]
     return bool(known) and max(sign * s for s in known) < rules.followed and sign * base.strength <= 1.0

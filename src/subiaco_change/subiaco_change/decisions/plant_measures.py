@@ -24,7 +24,7 @@ from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.known_space import ALL_FREE, KnownSpace, KnownSpaces
 from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.objects.plant_tops import TopChange, TopConfig, change_of_tops
-from subiaco_change.objects.voxel_objects import ObjectInstance
+from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.quantiles import median_and_spread, quantile_of
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
@@ -153,6 +153,27 @@ class PlantConfig(StrictModel):
         description="Height above the foot of a plant below which a column is of its trunk or of what "
         "grows beneath [m]",
     )
+    side_depth: float = Field(
+        0.75,
+        gt=0,
+        description="Distance from the plant of the other epoch beyond which surface of one epoch alone is "
+        "of a bough that was cut or has grown, and not of leaves that differ [m]",
+    )
+    side_adjoins: float = Field(
+        0.1,
+        gt=0,
+        lt=1,
+        description="Fraction of the surface of one epoch alone that must lie nearer to the plant of the "
+        "other epoch: a plant of its own, which one instance holds together with the crown, stands apart",
+    )
+    one_sided: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Length of the mean of the directions, as unit vectors from the middle of a crown, in "
+        "which such surface lies, from which it lies on one side; 0.5 for half of a sphere, as a fraction "
+        "of 1",
+    )
     outline: OutlineConfig = OutlineConfig()
     tops: TopConfig = TopConfig()
     null_model: VegetationNullConfig = VegetationNullConfig()
@@ -203,6 +224,8 @@ def measure_plant(
         tops_unseen=tops.unseen,
         base=base,
         base_sigma=base_sigma,
+        gained_on_side=0.0 if low else part_on_side(after, before, config),
+        lost_on_side=0.0 if low else part_on_side(before, after, config),
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
 
@@ -229,6 +252,26 @@ def change_of_base(before: Floats, after: Floats, config: PlantConfig) -> tuple[
     fall = (low_b - low_a)[above]
     middle, spread = median_and_spread(fall)
     return middle, 1.2533 * spread / math.sqrt(len(fall))
+
+
+def part_on_side(
+    objects: Sequence[ObjectInstance], other: Sequence[ObjectInstance], config: PlantConfig
+) -> float:
+    """Return which fraction of a crown's voxels is a part of it that one epoch alone has, on one side of it.
+
+    The part was observed to be free in the other epoch, and reaches deeper into that free space than leaves
+    that differ do. Leaves fall on all sides of a crown: then the directions cancel, and the answer is 0.
+    """
+    own = join_voxels(objects)
+    high = own.height >= config.base_clearance
+    ask = np.flatnonzero(own.observed_unoccupied & high)
+    xyz = np.concatenate([t.voxels.xyz for t in other])
+    deep = ask[np.isinf(cKDTree(xyz).query(own.xyz[ask], distance_upper_bound=config.side_depth)[0])]
+    if len(deep) == 0 or len(deep) > (1.0 - config.side_adjoins) * len(ask):
+        return 0.0
+    step = own.xyz[deep] - own.xyz[high].mean(axis=0)
+    mean = (step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)).mean(axis=0)
+    return len(deep) / len(own) if float(np.linalg.norm(mean)) >= config.one_sided else 0.0
 
 
 @switchable("tops_of_columns", lambda *_: TopChange())

@@ -360,7 +360,7 @@ def _is_house(row: _Row, stretch: _Stretch) -> bool:
     tops = [float(np.median(own.top[slots])) for slots in beside]
     long = np.count_nonzero(built) >= _ROW * (end - begin)
     if len(beside) != 1 or not (long or _is_half(own, other, built, stretch, top)):
-        return len(beside) == 2 and min(tops) >= _GARAGE and top >= _LEAST * min(tops)
+        return len(beside) == 2 and min(*tops, top) >= _GARAGE and top >= _LEAST * min(tops)
     if end - begin < _END:
         return False
     depths = [np.count_nonzero(own.columns[slots], axis=1).mean() for slots in (slice(begin, end), beside[0])]

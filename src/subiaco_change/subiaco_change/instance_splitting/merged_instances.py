@@ -17,7 +17,8 @@ from subiaco_change.instance_splitting.changed_houses import changed_houses
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.objects.column_volumes import column_keys
-from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
+from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
@@ -28,6 +29,10 @@ _COLUMN = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
 _FRONT = NUMBERS.rows_of_houses.house_front
 _ROOM = NUMBERS.changed_houses.room_height
+_LEFT = NUMBERS.changed_houses.left_columns
+_END = NUMBERS.changed_houses.end_front
+_ALIKE = NUMBERS.changed_houses.neighbour_share
+_PAIR = NUMBERS.changed_houses.pair_front
 
 #: The objects of *before* and of *after* that are one piece.
 Piece = tuple[tuple[ObjectInstance, ...], tuple[ObjectInstance, ...]]
@@ -215,13 +220,37 @@ def split_at_walls(
     voxels = [join_voxels(side) for side in sides]
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
     labels, house = changed_houses(*voxels)
-    for side in sides:
-        bodies = [body for body in separate_bodies(side, config) if body] or [list(side)]
+    houses = np.split(house > 0, [len(voxels[0])])
+    for side, other, of_house in zip(sides, voxels[::-1], houses, strict=True):
+        bodies = [body for body in separate_bodies(side, config) if body]
+        bodies = [body for body in bodies if not _is_wing(body, side, other, of_house)] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
         places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
         labels = labels * len(bodies) + owner[cKDTree(places).query(xy)[1]]
     labels = np.where(house > 0, labels.max() + house, labels)
     return _pieces(sides, xy, labels, house > 0, config, following)
+
+
+def _is_wing(
+    body: Sequence[ObjectInstance], side: Sequence[ObjectInstance], other: Voxels, of_house: Mask
+) -> bool:
+    """Tell whether a body that one epoch alone has is a wing of a house, and no house of its row.
+
+    No changed house of the row is there (``of_house`` (M,), of the voxels of the epoch), and the body is
+    narrower than a house at the end of a row, or than one of a pair and less deep than the rest.
+    """
+    own = np.array([any(t is b for b in body) for t in side])
+    mine = np.repeat(own, [len(t.voxels) for t in side])
+    voxels = join_voxels(side)
+    columns = np.unique(column_keys(voxels.xyz[mine], _COLUMN))
+    shared = np.intersect1d(columns, column_keys(other.xyz[other.height >= _ROOM], _COLUMN))
+    if mine.all() or len(shared) > _LEFT * len(columns) or of_house[mine].mean() >= 0.5:
+        return False
+    turned = wall_coordinates(voxels.xyz[:, :2])
+    row = int(np.abs(np.median(turned[mine], axis=0) - np.median(turned[~mine], axis=0)).argmax())
+    own, rest = (np.ptp(turned[part], axis=0) for part in (mine, ~mine))
+    shallow = own[1 - row] < _ALIKE * rest[1 - row]
+    return bool(own[row] < (_PAIR if shallow else _END))
 
 
 def _pieces(

@@ -67,7 +67,7 @@ PLANT_RULES: tuple[Rule, ...] = (
         "unseen_tops_of_plants",
         _PLANTS,
         "Where the epochs share columns of a plant, but did not observe the space above them, the highest"
-        " voxels do not tell how its top changed.",
+        " voxels do not tell how its top changed, nor do those of a piece of a hedge.",
         ("plants.tops.known",),
         guards=True,
     ),
@@ -80,12 +80,17 @@ PLANT_RULES: tuple[Rule, ...] = (
     Rule(
         "extent_carries_surface",
         _PLANTS,
-        "New or lost surface of a plant whose tops, outline and base stayed is a matter of leaves.",
+        "New or lost surface of a plant whose tops, outline and base stayed, and of which no side is missing,"
+        " is a matter of leaves.",
         (
             "decisions.vegetation.followed",
             "decisions.vegetation.base",
+            "decisions.vegetation.side",
             "plants.base_columns",
             "plants.base_clearance",
+            "plants.side_depth",
+            "plants.side_adjoins",
+            "plants.one_sided",
         ),
         guards=True,
     ),
