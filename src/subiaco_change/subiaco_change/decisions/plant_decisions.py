@@ -115,13 +115,17 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
     if not applies("surface_was_free", free < config.min_free_surface):
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")
-    measured = decision.reason.removesuffix(f": {_CONCLUSIONS[decision.change]}.")
-    reason = (
-        f"{measured}, but the probability that the place of the {surface} surface was free in the {other}"
+    return _withdrawn(
+        decision,
+        f"the probability that the place of the {surface} surface was free in the {other} survey is"
+        f" {free:.0%}, less than the limit of {config.min_free_surface:.0%}",
     )
-    reason += f" survey is {free:.0%}, less than the limit of {config.min_free_surface:.0%}: no change is"
-    reason += " claimed."
-    return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
+
+
+def _withdrawn(decision: Decision, objection: str) -> Decision:
+    """Leave a plant unchanged whose change was measured, and say why the change is not claimed."""
+    measured = decision.reason.removesuffix(f": {_CONCLUSIONS[decision.change]}.")
+    return Decision(Change.UNCHANGED, f"{measured}, but {objection}: no change is claimed.", 1.0, 0.0)
 
 
 def _decide_section(plant: PlantMeasures, null: VegetationNull) -> Decision:
@@ -134,9 +138,7 @@ def _decide_section(plant: PlantMeasures, null: VegetationNull) -> Decision:
     decision = _decision(plant, _Excess("rise", plant.section, expected, limit, expected.sd))
     if decision.change is Change.UNCHANGED or not plant.section_only or not _are_tops_unseen(plant):
         return decision
-    measured = decision.reason.removesuffix(f": {_CONCLUSIONS[decision.change]}.")
-    reason = f"{measured}, but the space above the lower tops was not observed: no change is claimed."
-    return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
+    return _withdrawn(decision, "the space above the lower tops was not observed")
 
 
 def _are_tops_unseen(plant: PlantMeasures) -> bool:

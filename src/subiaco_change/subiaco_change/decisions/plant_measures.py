@@ -265,8 +265,10 @@ def part_on_side(
     own = join_voxels(objects)
     high = own.height >= config.base_clearance
     ask = np.flatnonzero(own.observed_unoccupied & high)
-    xyz = np.concatenate([t.voxels.xyz for t in other])
-    deep = ask[np.isinf(cKDTree(xyz).query(own.xyz[ask], distance_upper_bound=config.side_depth)[0])]
+    if len(ask) == 0:  # as of most crowns
+        return 0.0
+    there = cKDTree(join_voxels(other).xyz)
+    deep = ask[np.isinf(there.query(own.xyz[ask], distance_upper_bound=config.side_depth)[0])]
     if len(deep) == 0 or len(deep) > (1.0 - config.side_adjoins) * len(ask):
         return 0.0
     step = own.xyz[deep] - own.xyz[high].mean(axis=0)

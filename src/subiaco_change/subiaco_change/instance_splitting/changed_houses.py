@@ -341,10 +341,10 @@ def _by_kind(kind: Ints, begin: int, end: int) -> list[tuple[int, int]]:
 def _is_house(row: _Row, stretch: _Stretch) -> bool:
     """Tell whether a changed stretch of a row is a house of the row, and no wing of its last house.
 
-    What one epoch alone has between houses, which are higher than garages, is one if it is about as high as
-    the lower of them: an extension is lower. At the end of a long row, or as half of a pair, it must be as
-    high and as deep as the house beside it, and wider than most extensions. No extension is as high as a tall
-    building, of which a street hardly shows a roof.
+    What one epoch alone has between houses is one if it and they are higher than garages, and it is about as
+    high as the lower of them: an extension is lower. At the end of a long row, or as half of a pair, it must
+    be as high and as deep as the house beside it, and wider than most extensions. No extension is as high as
+    a tall building, of which a street hardly shows a roof.
     """
     if stretch.taller is None:
         return stretch.kind != _PARTLY

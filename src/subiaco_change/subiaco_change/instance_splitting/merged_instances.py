@@ -239,14 +239,16 @@ def _is_wing(
     No changed house of the row is there (``of_house`` (M,), of the voxels of the epoch), and the body is
     narrower than a house at the end of a row, or than one of a pair and less deep than the rest.
     """
-    own = np.array([any(t is b for b in body) for t in side])
-    mine = np.repeat(own, [len(t.voxels) for t in side])
-    voxels = join_voxels(side)
-    columns = np.unique(column_keys(voxels.xyz[mine], _COLUMN))
-    shared = np.intersect1d(columns, column_keys(other.xyz[other.height >= _ROOM], _COLUMN))
-    if mine.all() or len(shared) > _LEFT * len(columns) or of_house[mine].mean() >= 0.5:
+    members = [any(t is b for b in body) for t in side]
+    mine = np.repeat(members, [len(t.voxels) for t in side])
+    if mine.all() or of_house[mine].mean() >= 0.5:
         return False
-    turned = wall_coordinates(voxels.xyz[:, :2])
+    xyz = join_voxels(side).xyz
+    columns = np.unique(column_keys(xyz[mine], _COLUMN))
+    shared = np.intersect1d(columns, column_keys(other.xyz[other.height >= _ROOM], _COLUMN))
+    if len(shared) > _LEFT * len(columns):
+        return False
+    turned = wall_coordinates(xyz[:, :2])
     row = int(np.abs(np.median(turned[mine], axis=0) - np.median(turned[~mine], axis=0)).argmax())
     own, rest = (np.ptp(turned[part], axis=0) for part in (mine, ~mine))
     shallow = own[1 - row] < _ALIKE * rest[1 - row]
