@@ -106,6 +106,18 @@ def test_a_house_between_others_that_its_own_epoch_joins_with_one_of_them_has_a_
     assert told == [SAME, GONE if earlier else NEW, SAME]
 
 
+@pytest.mark.parametrize("earlier", [True, False])
+def test_a_fence_on_the_plot_of_a_house_that_is_gone_is_no_part_of_the_house(earlier):
+    """The other epoch has a fence of 1.5 m in the gap, and the party walls of the neighbours."""
+    full, parted = ((5.0, 5.0, 5.0), [[0, 1, 2]]), ((5.0, 1.5, 5.0), [[0], [1], [2]])
+    heights, groups = zip(*((full, parted) if earlier else (parted, full)), strict=True)
+    matches = [((0,), (0, 1, 2))] if earlier else [((0, 1, 2), (0,))]
+    told = labels(heights, groups, matches)
+    assert told[0] == told[2] == SAME
+    assert (Change.REMOVED if earlier else Change.ADDED) in told[1]
+    assert not told[1] & {Change.INCREASED, Change.DECREASED}
+
+
 def test_the_wall_above_a_lower_neighbour_is_of_the_house_that_was_removed():
     heights = ((4.0, 8.0, 4.0), (4.0, 0.0, 4.0))
     assert labels(heights, ([[0, 1, 2]], [[0], [2]]), [((0,), (0, 1))]) == [SAME, GONE, SAME]

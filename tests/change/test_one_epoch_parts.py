@@ -241,6 +241,30 @@ def test_a_house_that_a_carport_links_to_its_neighbour_was_no_wing_of_it(side, h
     assert find_building_extensions([house, carport, beyond], CONFIG) == ({1: 0, 2: 0} if wing else {1: 0})
 
 
+def facing(made, occupied_in_other):
+    """Voxels of a house with the normals of the wall at x = 10 m, which the other epoch has or has not."""
+    normal = np.where(made.xyz[:, :1] > 9.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    return replace(made, normal=normal, occupied_in_other=np.full(len(made), occupied_in_other))
+
+
+@pytest.mark.parametrize(("seen", "wing"), [(True, False), (False, True)])
+def test_what_stands_before_a_wall_that_both_surveys_saw_is_no_wing_of_the_house(seen, wing):
+    """Scaffolding hides no wall; a wing hides the wall that it was built onto."""
+    house, layer = facing(voxels(HOUSE), seen), moved(walls(1.5, 7.5, 4), 10)
+    assert bool(find_building_extensions([(house, house), (NONE, layer)], CONFIG)) == wing
+    with rules_switched_off(("layers_before_walls",)):
+        assert find_building_extensions([(house, house), (NONE, layer)], CONFIG) == {1: 0}
+
+
+def test_a_garden_wall_that_is_of_one_object_with_a_house_makes_no_wing_of_it():
+    """Between a wing of one house and the next house stands a wall of 1.8 m, of the next house's object."""
+    own = voxels(HOUSE)
+    garden_wall = walls(0.5, 8, 1.8) + (15.5, 0.0, 0.0)
+    next_house = voxels(np.concatenate([HOUSE + (20.0, 0.0, 0.0), garden_wall]))
+    wing = (NONE, moved(walls(4.5, 8, 3), 10.5))
+    assert find_building_extensions([(next_house, next_house), (own, own), wing], CONFIG) == {2: 1}
+
+
 def test_a_crown_beside_a_house_is_no_wing_of_it_however_smooth_its_foliage():
     rng = np.random.default_rng(5)
     way = rng.normal(size=(600, 3))
@@ -597,3 +621,22 @@ def test_a_vehicle_in_one_epoch_is_no_plant_in_the_other():
     for pair in ([plant], [vehicle]), ([vehicle], [plant]):
         found = unify_classes(*pair, AssociationConfig(), 0.25)
         assert [side[0].semantic for side in found] == [Semantic.MOBILE] * 2
+
+
+@pytest.mark.parametrize("taken_away", [True, False])
+def test_a_wing_is_of_its_house_although_a_fence_ran_along_it(taken_away):
+    """The fence stands in both epochs, and one of them holds fence and wing for one object."""
+    fence = walls(0.5, 6, 1.5) + (14.0, 1.0, 0.0)
+    whole = house_instance(np.concatenate([HOUSE, WING + (10.0, 0.0, 0.0), fence]), 0)
+    assert len(whole.voxels) > len(fence)
+    both = house_instance(HOUSE, 1)
+    wing_and_fence = np.concatenate([WING + (10.0, 0.0, 0.0), fence])
+    large, low = house_instance(wing_and_fence, 2), house_instance(fence, 3)
+    sides = ((large,), (low,)) if taken_away else ((low,), (large,))
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    changes = [
+        decide_object((both,), (both,), Semantic.BUILDING, rules),
+        decide_object(*sides, Semantic.BUILDING, rules),
+    ]
+    (told,) = join_building_extensions(changes, rules)
+    assert {t.instance for t in (*told.before, *told.after)} == {1, 2, 3}

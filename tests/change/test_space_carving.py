@@ -204,6 +204,23 @@ def test_the_volume_of_a_house_of_which_the_street_sees_half_a_roof_is_that_of_t
     assert found.whole == pytest.approx(LENGTH * DEPTH * 4.0, rel=0.06)
 
 
+@pytest.mark.parametrize(("seen", "share"), [(True, 0.0), (False, 1.0)])
+def test_scaffolding_before_a_wall_that_both_surveys_saw_is_no_volume(seen, share):
+    """1.5 m deep along the front, 3 m high; behind a wing of that size the later survey sees no wall."""
+    front = walls_of(voxels(sheet((0, 0, 0), (LENGTH, CELL, TALL)), occupied_in_other=seen))
+    rest = voxels(sheet((0, CELL, TALL - CELL), (LENGTH, DEPTH, TALL)))
+    layer = voxels(sheet((0, -1.5, 0), (LENGTH, 0, TALL)), occupied_in_other=False)
+    before = CarvingEpoch(front.add(rest), PLAIN, nothing_met)
+    street = ((-9, -9, 0), (30, -1.5, HIGH))
+    around = inside(street, OUT["west"], OUT["above"], OUT["east"])
+    after = CarvingEpoch((front.add(rest) if seen else rest).add(layer), around, nothing_met)
+    whole = share * 1.5 * LENGTH * TALL
+    assert carve(before, after, CONFIG).volume.low == pytest.approx(whole, abs=0.2 * whole)
+    assert carve(after, before, CONFIG).volume.high == pytest.approx(-whole, abs=0.2 * whole)
+    with rules_switched_off(("layers_before_walls",)):
+        assert carve(before, after, CONFIG).volume.low > 0.8 * 1.5 * LENGTH * TALL
+
+
 def test_swapping_the_epochs_swaps_the_bounds():
     there = carve(epoch(house(), PLAIN), extended(), CONFIG)
     back = carve(extended(), epoch(house(), PLAIN), CONFIG)

@@ -236,6 +236,17 @@ def test_surface_that_changed_on_one_side_of_a_crown_is_no_matter_of_leaves(sign
     assert label(replace(leaves, surface=0.1 * sign, **on_side), null).change is Change.UNCHANGED
 
 
+@pytest.mark.parametrize("sign", [1, -1], ids=["grown", "cut"])
+def test_a_part_on_one_side_of_a_crown_must_exceed_what_other_crowns_show_and_no_more(sign):
+    null = fit_null(street(30, 0.0, 0.02), NULL)
+    less = replace(TREE, rise=0.0, rise_sigma=0.02, surface=0.13 * sign)
+    on_side = {"gained_on_side": 0.2} if sign > 0 else {"lost_on_side": 0.2}
+    assert label(less, null).change is Change.UNCHANGED
+    found = label(replace(less, **on_side), null).change
+    assert found is (Change.INCREASED if sign > 0 else Change.DECREASED)
+    assert label(replace(less, surface=0.06 * sign, **on_side), null).change is Change.UNCHANGED
+
+
 @pytest.mark.parametrize("rise", [0.6, -0.6])
 def test_a_piece_of_a_hedge_changed_only_if_the_space_above_its_lower_tops_was_observed(rise):
     null = fit_null(street(30, 0.0, 0.05), NULL)

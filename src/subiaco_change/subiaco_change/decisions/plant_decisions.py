@@ -212,10 +212,18 @@ def _is_foliage(
     sign = math.copysign(1.0, found.strength)
     grew = found.strength > 0
     part = plant.rise_of_part if grew else plant.fall_of_part
-    if part > rules.height or (plant.gained_on_side if grew else plant.lost_on_side) >= rules.side:
+    if part > rules.height or _has_part_on_side(plant, sign, rules):
         return False
     known = [e.strength for e in extent if math.isfinite(e.value)]
     return bool(known) and max(sign * s for s in known) < rules.followed and sign * base.strength <= 1.0
+
+
+def _has_part_on_side(plant: PlantMeasures, sign: float, rules: PlantLimits) -> bool:
+    """Tell whether a plant gained (a sign above 0) or lost a part on one side.
+
+    Then its surface need not have changed by as much as leaves make it change.
+    """
+    return (plant.gained_on_side if sign > 0 else plant.lost_on_side) >= rules.side
 
 
 def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:
@@ -255,7 +263,7 @@ def _excesses(
         "top": max(rules.height, gate),
         "rise": max(rules.height, gate),
         "volume": rules.volume,
-        "surface": rules.surface,
+        "surface": rules.min_net_change if _has_part_on_side(plant, plant.surface, rules) else rules.surface,
         "base": max(rules.base, gate),
     }
     found = {}

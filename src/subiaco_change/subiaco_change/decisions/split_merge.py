@@ -31,13 +31,15 @@ from subiaco_change.instance_splitting.merged_instances import (
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, no_decision, switchable
-from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
+from subiaco_change.quantiles import quantile_of
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
 _WALL = NUMBERS.split_merge.wall_reach
 _WITHIN = NUMBERS.split_merge.inside_share
 _HARDLY = NUMBERS.split_merge.least_observed
+_REMAINS = NUMBERS.split_merge.remains
 
 
 @switchable("building_extensions", first_argument)
@@ -58,7 +60,7 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     ]
     if rules.association.parts.points == 0:
         return changes
-    pairs = [(join_voxels(changes[i].before), join_voxels(changes[i].after)) for i in numbers]
+    pairs = [_bodies(changes[i], rules.measures.carving.room) for i in numbers]
     found = find_building_extensions(pairs, rules.association.parts, rules.ground)
     extensions = {numbers[w]: numbers[h] for w, h in found.items()}
     following = _first_free(changes)
@@ -70,6 +72,19 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
             following = max(following, _first_free(told))
             joined.extend(told)
     return joined
+
+
+def _bodies(change: ObjectChange, room: float) -> tuple[Voxels, Voxels]:
+    """Return what both epochs have of a building; none of one that has only what is lower than a room [m].
+
+    A fence that ran along an extension is left of it.
+    """
+    sides = [join_voxels(objects) for objects in (change.before, change.after)]
+    tall = [len(v) > 0 and quantile_of(v.height, 0.95) >= room for v in sides]
+    before, after = (
+        v.select(np.full(len(v), one or not any(tall))) for v, one in zip(sides, tall, strict=True)
+    )
+    return before, after
 
 
 def _with_extensions(
@@ -141,9 +156,23 @@ def _is_apart(change: ObjectChange, rules: ObjectRules) -> bool:
         Semantic.VEGETATION: decisions.vegetation.min_iou,
         Semantic.OTHER: decisions.mobile.same_iou,
     }
-    if not (all(sides) and change.measures.iou <= least.get(change.semantic, -1.0)):
+    overlaps = change.measures.iou > least.get(change.semantic, -1.0)
+    if not all(sides) or (overlaps and not _remains_little(change, rules)):
         return False
     return change.semantic is not Semantic.OTHER or all(_is_fixed(parts, rules) for parts in sides)
+
+
+def _remains_little(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether a building stands in one epoch, and a fence or a container in its place in the other."""
+    if change.semantic is not Semantic.BUILDING:
+        return False
+    if not all(map(len, _bodies(change, rules.measures.carving.room))):
+        return True
+    found = change.measures
+    volume, whole = found.stated_volume, max(found.volume, 1e-6)
+    return volume is not None and (
+        volume.high <= (_REMAINS - 1.0) * whole or volume.low >= (1.0 / _REMAINS - 1.0) * whole
+    )
 
 
 @switchable("fixed_objects", never)
@@ -287,14 +316,20 @@ def _labels(changes: Sequence[ObjectChange]) -> Counter[Change]:
 def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the houses of a row one by one; none where they fared alike.
 
-    None either where one has no partner, and is not seen to be new or gone, or hardly overlaps its partner.
+    None either where one has no partner, and is not seen to be new or gone, or hardly overlaps its partner; a
+    fence on its plot is no partner.
     """
     if len(pieces) == 1 or not any(b and a for b, a in pieces):
         return []
     parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
-    if any(_is_apart(p, rules) for p in parts):
-        return []
     if any(not (p.before and p.after) and p.decision.change not in ONE_EPOCH for p in parts):
+        return []
+    parts = [
+        part
+        for both in parts
+        for part in (part_hardly_overlapping([both], rules) if _remains_little(both, rules) else [both])
+    ]
+    if any(_is_apart(p, rules) for p in parts):
         return []
     labels = {part.decision.change for part in parts}
     return parts if len(labels) > 1 and not labels.isdisjoint(CHANGED) else []
@@ -385,6 +420,8 @@ def assign_fragments(
             continue
         epoch = 0 if change.before else 1
         part = (*change.before, *change.after)[0]
+        if part.instance not in slots[epoch]:  # a piece of one, which was decided with the other pieces
+            continue
         row = overlaps[epoch][[slots[epoch][part.instance]], :].tocoo()
         if row.nnz == 0 or row.data.max() <= config.contained * len(part.voxels):
             continue

@@ -15,6 +15,7 @@ from subiaco_change.geometry import in_box_around, in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
+from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.frames import Floats
 
@@ -39,6 +40,7 @@ _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
 _FOOT = NUMBERS.building_extensions.foot
+_LAYER = NUMBERS.layers.share
 
 
 def find_building_extensions(
@@ -125,7 +127,8 @@ def _touching_extensions(
         if number in taken or len(pair[1 - epoch]) or not len(pair[epoch]):
             continue
         extension = pair[epoch].xyz
-        gaps = [gaps_to_host(extension, pairs[i][epoch].xyz, config.touch) for i in hosts]
+        bodies = [pairs[i][epoch] for i in hosts]  # a wall between two lots makes no extension of a house
+        gaps = [gaps_to_host(extension, v.xyz[v.height > _FENCE], config.touch) for v in bodies]
         gaps = [g[:0] if len(g) and apart(number, i) else g for g, i in zip(gaps, hosts, strict=True)]
         if not any(len(g) for g in gaps):
             continue
@@ -148,6 +151,8 @@ def _is_extension(
     hidden = round_it and free < _HIDDEN and _share_above(extension, other) >= _BESIDE
     if applies("hidden_wall_of_extension", hidden):
         return True  # a wall of the house that an extension of the other epoch hides
+    if before_walls(extension.xyz, other).mean() > _LAYER:
+        return False
     leans = len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(extension)
     beside = max(contact) < _ADJOINS * len(extension)
     if beside or _top(extension) < _ROOM or applies("part_between_buildings", leans):
@@ -223,7 +228,7 @@ def _share_above(extension: Voxels, host: Voxels) -> float:
 
 def gaps_to_host(extension: Floats, host: Floats, touch: float) -> Floats:
     """Return how far the places of an extension that touch a host lie from it, seen from above (M,) [m]."""
-    near = extension[in_box_around(extension[:, :2], host[:, :2], touch), :2]
+    near = extension[in_box_around(extension[:, :2], host[:, :2], touch), :2] if len(host) else host
     if len(near) == 0:
         return np.zeros(0)
     distance = cKDTree(host[:, :2]).query(near, distance_upper_bound=touch)[0]

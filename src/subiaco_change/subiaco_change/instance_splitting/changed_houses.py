@@ -161,7 +161,8 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     place = slots[:, axis]
     for stretch in found:
         inside = _within(place, stretch.begin, stretch.end)
-        of_house = alone | inside if stretch.only is None else alone & (epoch == stretch.only)
+        of_house = alone if stretch.taller is None else alone & (epoch == stretch.taller)
+        of_house = of_house | inside if stretch.only is None else of_house
         walls = _within(place, stretch.begin - _WALLS, stretch.end + _WALLS)
         house[of_house & walls & (house == 0)] = house.max() + 1
     cuts = np.unique([cut for stretch in found for cut in (stretch.begin, stretch.end)])

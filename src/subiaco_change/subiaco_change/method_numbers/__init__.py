@@ -29,6 +29,7 @@ from subiaco_change.method_numbers.decision_numbers import (
     DynamicObjectsNumbers,
     GroundCellsNumbers,
     GroundChangeNumbers,
+    LayersNumbers,
     ObjectDecisionNumbers,
     PlantMeasuresNumbers,
     PlantTopsNumbers,
@@ -83,6 +84,7 @@ class MethodNumbers(StrictModel):
 
     absence: AbsenceNumbers = AbsenceNumbers()
     building_extensions: BuildingExtensionsNumbers = BuildingExtensionsNumbers()
+    layers: LayersNumbers = LayersNumbers()
     changed_houses: ChangedHousesNumbers = ChangedHousesNumbers()
     column_volumes: ColumnVolumesNumbers = ColumnVolumesNumbers()
     confidence: ConfidenceNumbers = ConfidenceNumbers()

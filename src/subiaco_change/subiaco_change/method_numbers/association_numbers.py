@@ -264,6 +264,11 @@ class SplitMergeNumbers(StrictModel):
         description="Fraction of one side of a building within the outline of the rest from which both "
         "are one building",
     )
+    remains: float = Field(
+        0.2,
+        description="Fraction of the volume of a building in one epoch up to which what the other epoch has in"
+        " its place is no part of it",
+    )
     least_observed: float = Field(
         0.5,
         description="Observed fraction below which a part of a building gets no row of its own",

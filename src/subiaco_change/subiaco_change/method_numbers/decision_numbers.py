@@ -16,6 +16,27 @@ class AbsenceNumbers(StrictModel):
     )
 
 
+class LayersNumbers(StrictModel):
+    """Numbers of ``objects/layers.py``."""
+
+    depth: float = Field(
+        2.0, description="Distance from a wall within which a place lies close before the wall [m]"
+    )
+    ahead: float = Field(
+        0.7,
+        description="Smallest cosine between the normal of a wall and the direction to a place before the"
+        " wall, as a ratio",
+    )
+    wall_normal: float = Field(
+        0.8, description="Smallest horizontal component of the unit normal of a wall, as a ratio"
+    )
+    share: float = Field(
+        0.5,
+        description="Fraction of a part close before walls that both epochs have, above which the part is"
+        " neither room nor extension",
+    )
+
+
 class BuildingExtensionsNumbers(StrictModel):
     """Numbers of ``instance_splitting/building_extensions.py``."""
 

@@ -401,8 +401,14 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "hardly_overlapping",
         _HERE,
-        "Objects of a match that overlap too little to be compared are decided apart.",
-        ("decisions.building.min_iou", "decisions.vegetation.min_iou"),
+        "Objects of a match that overlap too little to be compared are decided apart, and so are a house and"
+        " the fence or container that is in its place in the other epoch.",
+        (
+            "decisions.building.min_iou",
+            "decisions.vegetation.min_iou",
+            "measures.carving.room",
+            "method_numbers.split_merge.remains",
+        ),
     ),
     Rule(
         "fixed_objects",
@@ -501,6 +507,18 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.building_extensions.smoothness",
             "method_numbers.building_extensions.facing",
             "method_numbers.building_extensions.sloped",
+        ),
+    ),
+    Rule(
+        "layers_before_walls",
+        _HERE,
+        "What stands close before a wall that both surveys saw hides no wall: scaffolding and awnings are no"
+        " volume of a building, and no extension.",
+        (
+            "method_numbers.layers.depth",
+            "method_numbers.layers.ahead",
+            "method_numbers.layers.wall_normal",
+            "method_numbers.layers.share",
         ),
     ),
     Rule(

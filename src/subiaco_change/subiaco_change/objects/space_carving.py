@@ -34,6 +34,7 @@ from subiaco_change.method_rules.switches import (
 from subiaco_change.objects.carving_config import CarvingConfig
 from subiaco_change.objects.column_volumes import body_tops, tops_of_columns
 from subiaco_change.objects.known_space import Empty
+from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
@@ -51,6 +52,7 @@ _PARAPET = NUMBERS.space_carving.parapet
 _DORMER = NUMBERS.space_carving.dormer
 _LOOKED = NUMBERS.space_carving.observed_share
 _REFUTED = NUMBERS.space_carving.free_share
+_LAYER = NUMBERS.layers.share
 _TOUCHING, _PLAN = np.ones((3, 3, 3), dtype=bool), np.ones((3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
 _LEVEL = NUMBERS.space_carving.roof_normal
@@ -189,8 +191,8 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
         return Carved(Interval(0.0, 0.0), Interval(0.0, 0.0), Interval(0.0, 0.0), 0.0)
     frame = _frame(Voxels.joined(both), config)
     states = tuple(_state(epoch, other.voxels, frame) for epoch, other in ((before, after), (after, before)))
-    gain = _difference(states[0], states[1], after.voxels, frame, config)
-    loss = _difference(states[1], states[0], before.voxels, frame, config)
+    gain = _difference(states[0], states[1], both, frame, config)
+    loss = _difference(states[1], states[0], both[::-1], frame, config)
     old = states[0] if len(before.voxels) else states[1]
     whole = _whole(old, both, gain.cells, frame)
     area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
@@ -369,16 +371,19 @@ class _Difference:
 
 
 def _difference(
-    old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig
+    old: _State, new: _State, sides: tuple[Voxels, Voxels], frame: _Frame, config: CarvingConfig
 ) -> _Difference:
     """Find what was free and is solid; cells that one epoch does not know widen the bounds of its volume.
+
+    ``sides``: the voxels of the old and of the new epoch.
 
     A surface whose place the other epoch did not observe is no evidence of a change: beams that pass beside a
     surface show the cells around it free, and leave open whether the surface stood there. What it encloses
     counts as possible.
     """
+    voxels = sides[1]
     solid = new.solid | _behind_new_walls(old, new, config)
-    number, count = ndimage.label(old.free & solid, _TOUCHING)
+    number, count = ndimage.label(_without_layers(old.free & solid, sides[0], frame), _TOUCHING)
     kinds = (
         voxels.observed_unoccupied,
         ~voxels.occupied_in_other,
@@ -426,6 +431,18 @@ def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
     part = np.zeros(len(voxels), dtype=np.int64)
     part[inside] = number[tuple(cell[inside].T)]
     return part
+
+
+def _without_layers(changed: Cells, old: Voxels, frame: _Frame) -> Cells:
+    """Remove the parts of changed cells most of which lie close before walls that both epochs have."""
+    number, count = ndimage.label(changed, _TOUCHING)
+    cells = np.argwhere(changed)
+    column = cells[:, 0] * frame.shape[1] + cells[:, 1]
+    height = frame.foot.ravel()[column] + frame.levels[cells[:, 2]]
+    layer = before_walls(np.column_stack([frame.middles()[column], height]), old)
+    part = number[changed]
+    size, covered = (np.bincount(some, minlength=count + 1) for some in (part, part[layer]))
+    return changed & (covered <= _LAYER * size)[number]
 
 
 def _supported(voxels: Ints, config: CarvingConfig) -> NDArray[np.bool_]:

@@ -1,0 +1,52 @@
+"""What stands close before a wall that both surveys saw: scaffolding, awnings, parasols.
+
+It hides no wall, and holds no room; what was built onto a wall does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import switchable
+from subiaco_change.objects.voxel_objects import Voxels
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.frames import Floats
+
+_DEPTH = NUMBERS.layers.depth
+_AHEAD = NUMBERS.layers.ahead
+_STEEP = NUMBERS.layers.wall_normal
+
+
+def _before_none(places: Floats, _: Voxels) -> Mask:
+    """Return that no place lies before a wall."""
+    return np.zeros(len(places), dtype=bool)
+
+
+@switchable("layers_before_walls", _before_none)
+def before_walls(places: Floats, voxels: Voxels) -> Mask:
+    """Tell which places lie close before walls that both epochs have.
+
+    Parameters
+    ----------
+    places : (N, 3) float64
+        In the local frame [m].
+    voxels : Voxels
+        Of a building in one epoch, and which of them the other epoch has too.
+
+    Returns
+    -------
+    (N,) bool
+    """
+    steep = np.hypot(voxels.normal[:, 0], voxels.normal[:, 1]) > _STEEP
+    walls = voxels.select(steep & voxels.occupied_in_other)
+    if len(walls) == 0 or len(places) == 0:
+        return _before_none(places, voxels)
+    distance, nearest = cKDTree(walls.xyz).query(places, distance_upper_bound=_DEPTH)
+    near = np.flatnonzero(np.isfinite(distance))
+    step = places[near] - walls.xyz[nearest[near]]
+    ahead = np.abs((step * walls.normal[nearest[near]]).sum(axis=1)) >= _AHEAD * distance[near]
+    found = _before_none(places, voxels)
+    found[near] = ahead
+    return found
