@@ -259,8 +259,8 @@ def test_what_stands_before_a_wall_that_both_surveys_saw_is_no_wing_of_the_house
 def test_a_garden_wall_that_is_of_one_object_with_a_house_makes_no_wing_of_it():
     """Between a wing of one house and the next house stands a wall of 1.8 m, of the next house's object."""
     own = voxels(HOUSE)
-    garden_wall = walls(0.5, 8, 1.8) + (15.5, 0.0, 0.0)
-    next_house = voxels(np.concatenate([HOUSE + (20.0, 0.0, 0.0), garden_wall]))
+    garden_wall = np.add(walls(0.5, 8, 1.8), (15.5, 0.0, 0.0))
+    next_house = voxels(np.concatenate([np.add(HOUSE, (20.0, 0.0, 0.0)), garden_wall]))
     wing = (NONE, moved(walls(4.5, 8, 3), 10.5))
     assert find_building_extensions([(next_house, next_house), (own, own), wing], CONFIG) == {2: 1}
 
@@ -626,11 +626,11 @@ def test_a_vehicle_in_one_epoch_is_no_plant_in_the_other():
 @pytest.mark.parametrize("taken_away", [True, False])
 def test_a_wing_is_of_its_house_although_a_fence_ran_along_it(taken_away):
     """The fence stands in both epochs, and one of them holds fence and wing for one object."""
-    fence = walls(0.5, 6, 1.5) + (14.0, 1.0, 0.0)
-    whole = house_instance(np.concatenate([HOUSE, WING + (10.0, 0.0, 0.0), fence]), 0)
+    fence = np.add(walls(0.5, 6, 1.5), (14.0, 1.0, 0.0))
+    whole = house_instance(np.concatenate([HOUSE, np.add(WING, (10.0, 0.0, 0.0)), fence]), 0)
     assert len(whole.voxels) > len(fence)
     both = house_instance(HOUSE, 1)
-    wing_and_fence = np.concatenate([WING + (10.0, 0.0, 0.0), fence])
+    wing_and_fence = np.concatenate([np.add(WING, (10.0, 0.0, 0.0)), fence])
     large, low = house_instance(wing_and_fence, 2), house_instance(fence, 3)
     sides = ((large,), (low,)) if taken_away else ((low,), (large,))
     rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())

@@ -221,6 +221,23 @@ def test_scaffolding_before_a_wall_that_both_surveys_saw_is_no_volume(seen, shar
         assert carve(before, after, CONFIG).volume.low > 0.8 * 1.5 * LENGTH * TALL
 
 
+def test_a_storey_behind_the_scaffolding_by_which_it_was_built_has_its_volume():
+    front = walls_of(voxels(sheet((0, 0, 0), (LENGTH, CELL, TALL))))
+    roof = voxels(sheet((0, CELL, TALL - CELL), (LENGTH, DEPTH, TALL)))
+    top = 3 * TALL
+    storeys = [sheet((0, 0, TALL), (LENGTH, CELL, top)), sheet((0, CELL, top - CELL), (LENGTH, DEPTH, top))]
+    layer = sheet((0, -1.5, 0), (LENGTH, 0, TALL))
+    new = voxels(*storeys, layer, occupied_in_other=False)
+    sides = [inside(((-9, -9, 0), (30, y, HIGH)), OUT["west"], OUT["east"]) for y in (0, -1.5)]
+    above = [inside(((-9, -9, z), (30, 30, HIGH))) for z in (TALL, top)]
+    before, after = (
+        CarvingEpoch(own, lambda xyz, a=a, b=b: a(xyz) | b(xyz), nothing_met)
+        for own, a, b in zip((front.add(roof), front.add(new)), sides, above, strict=True)
+    )
+    storey = LENGTH * DEPTH * (top - TALL)
+    assert 0.8 * storey < carve(before, after, CONFIG).volume.low <= storey
+
+
 def test_swapping_the_epochs_swaps_the_bounds():
     there = carve(epoch(house(), PLAIN), extended(), CONFIG)
     back = carve(extended(), epoch(house(), PLAIN), CONFIG)

@@ -434,7 +434,10 @@ def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
 
 
 def _without_layers(changed: Cells, old: Voxels, frame: _Frame) -> Cells:
-    """Remove the parts of changed cells most of which lie close before walls that both epochs have."""
+    """Remove the parts of changed cells most of which lie close before walls that both epochs have.
+
+    What is higher than that stays: a storey behind the scaffolding by which it was built.
+    """
     number, count = ndimage.label(changed, _TOUCHING)
     cells = np.argwhere(changed)
     column = cells[:, 0] * frame.shape[1] + cells[:, 1]
@@ -442,7 +445,11 @@ def _without_layers(changed: Cells, old: Voxels, frame: _Frame) -> Cells:
     layer = before_walls(np.column_stack([frame.middles()[column], height]), old)
     part = number[changed]
     size, covered = (np.bincount(some, minlength=count + 1) for some in (part, part[layer]))
-    return changed & (covered <= _LAYER * size)[number]
+    top = np.zeros(count + 1, dtype=np.int64)
+    np.maximum.at(top, part[layer], cells[layer, 2])
+    kept = changed.copy()
+    kept[changed] = (covered <= _LAYER * size)[part] | (cells[:, 2] > top[part])
+    return kept
 
 
 def _supported(voxels: Ints, config: CarvingConfig) -> NDArray[np.bool_]:
