@@ -512,7 +512,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "layers_before_walls",
         _HERE,
-        "What stands close before a wall that both surveys saw hides no wall: scaffolding and awnings are no"
+        "An object close before a wall that both surveys saw hides no wall: scaffolding and awnings are no"
         " volume of a building, and no extension.",
         (
             "method_numbers.layers.depth",

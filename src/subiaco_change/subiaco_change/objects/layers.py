@@ -1,6 +1,6 @@
-"""What stands close before a wall that both surveys saw: scaffolding, awnings, parasols.
+"""Objects close before a wall that both surveys saw: scaffolding, awnings, parasols.
 
-It hides no wall, and holds no room; what was built onto a wall does.
+They hide no wall, and hold no room; a wing does both.
 """
 
 from __future__ import annotations
