@@ -396,3 +396,10 @@ def test_the_standard_error_of_a_top_is_its_scatter_over_samples_of_pairs(count)
     scatter = np.quantile(samples, 0.95, axis=1).std()
     stated = np.median([quantile_sigma(sample, 0.95) for sample in samples])
     assert 0.5 * scatter < stated < 1.7 * scatter
+
+
+@pytest.mark.parametrize(("rise", "verb"), [(0.304, "exceeds"), (0.296, "does not exceed")])
+def test_an_excess_that_rounds_to_its_limit_is_told_with_a_further_digit(rise, verb):
+    null = fit_null([], NULL)
+    reason = label(replace(TREE, rise=rise, rise_sigma=0.001, surface=0.0), null).reason
+    assert f"The excess of +{rise:.3f} m {verb} the limit of 0.300 m" in reason

@@ -40,7 +40,14 @@ class _Excess:
     @property
     def limit_of_side(self) -> str:
         """The limit on the side of the excess: of a growth and of a loss the percentages differ."""
-        return _quantity(math.copysign(self.limit, self.excess), self.unit, sign=False)
+        return _quantity(math.copysign(self.limit, self.excess), self.unit, sign=False, more=self.more)
+
+    @property
+    def more(self) -> int:
+        """Further digits without which the excess and its limit would read alike."""
+        sides = (self.excess, math.copysign(self.limit, self.excess))
+        excess, limit = (_quantity(value, self.unit, sign=False) for value in sides)
+        return int(excess == limit)
 
     @property
     def excess(self) -> float:
@@ -323,16 +330,16 @@ def _compared(plant: PlantMeasures, found: _Excess) -> str:
     else:
         rest = f"this pair has too few {others}, so that the scatter of simulated pairs counts {scatter}"
     changed = f"{_name(plant)}: {_NAMES[found.measure]} changed by {_quantity(found.value, unit)}"
-    return f"{changed}, {rest}. The excess of {_quantity(found.excess, unit)}"
+    return f"{changed}, {rest}. The excess of {_quantity(found.excess, unit, more=found.more)}"
 
 
 def _name(plant: PlantMeasures) -> str:
     return "Thin object without a crown" if plant.thin else plant.kind.capitalize()
 
 
-def _quantity(value: float, unit: str, *, sign: bool = True) -> str:
+def _quantity(value: float, unit: str, *, sign: bool = True, more: int = 0) -> str:
     if unit == "share of mean":
-        return percent_of_earlier(value, sign=sign)
+        return percent_of_earlier(value, sign=sign, digits=more)
     shown = value if sign else abs(value)
     plus = "+" if sign else ""
-    return f"{shown:{plus}z.2f} m" if unit == "m" else f"{100 * shown:{plus}z.0f} %"
+    return f"{shown:{plus}z.{2 + more}f} m" if unit == "m" else f"{100 * shown:{plus}z.{more}f} %"

@@ -187,7 +187,7 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
     return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
-def percent_of_earlier(share: float, *, sign: bool = True) -> str:
+def percent_of_earlier(share: float, *, sign: bool = True, digits: int = 0) -> str:
     """Write a change that is a share of the mean of both surveys as a percentage of the earlier one.
 
     A share of -2 is the loss of everything, and a share of +2 a growth from nothing.
@@ -196,7 +196,7 @@ def percent_of_earlier(share: float, *, sign: bool = True) -> str:
     change = 2.0 * held / (2.0 - held) if held < 2.0 else math.inf
     if change > _MOST_GROWTH:
         return f"more than {100 * _MOST_GROWTH:{'+' if sign else ''}.0f} %"
-    return f"{100 * change:+z.0f} %" if sign else f"{100 * abs(change):.0f} %"
+    return f"{100 * change:+z.{digits}f} %" if sign else f"{100 * abs(change):.{digits}f} %"
 
 
 def _building(measures: Measures, gate: float, rules: BuildingLimits) -> Decision:
