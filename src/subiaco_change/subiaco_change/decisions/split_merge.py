@@ -164,15 +164,11 @@ def _is_apart(change: ObjectChange, rules: ObjectRules) -> bool:
 
 def _remains_little(change: ObjectChange, rules: ObjectRules) -> bool:
     """Tell whether a building stands in one epoch, and a fence or a container in its place in the other."""
-    if change.semantic is not Semantic.BUILDING:
+    if change.semantic is not Semantic.BUILDING or not (change.before and change.after):
         return False
-    if not all(map(len, _bodies(change, rules.measures.carving.room))):
-        return True
-    found = change.measures
-    volume, whole = found.stated_volume, max(found.volume, 1e-6)
-    return volume is not None and (
-        volume.high <= (_REMAINS - 1.0) * whole or volume.low >= (1.0 / _REMAINS - 1.0) * whole
-    )
+    tops = [quantile_of(join_voxels(objects).height, 0.95) for objects in (change.before, change.after)]
+    low = min(tops) < rules.measures.carving.room <= max(tops)
+    return low or min(tops) < _REMAINS * max(tops)
 
 
 @switchable("fixed_objects", never)

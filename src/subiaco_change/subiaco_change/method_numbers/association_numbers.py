@@ -265,9 +265,9 @@ class SplitMergeNumbers(StrictModel):
         "are one building",
     )
     remains: float = Field(
-        0.2,
-        description="Fraction of the volume of a building in one epoch up to which what the other epoch has"
-        " in its place is no part of it",
+        0.33,
+        description="Fraction of the height of a building in one epoch below which what the other epoch has in"
+        " its place is no part of it",
     )
     least_observed: float = Field(
         0.5,
