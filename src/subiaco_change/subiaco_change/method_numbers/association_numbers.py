@@ -266,8 +266,8 @@ class SplitMergeNumbers(StrictModel):
     )
     remains: float = Field(
         0.33,
-        description="Fraction of the height of a building in one epoch below which what the other epoch has in"
-        " its place is no part of it",
+        description="Fraction of the height of a building in one epoch below which what the other epoch has"
+        " in its place is no part of it",
     )
     least_observed: float = Field(
         0.5,
