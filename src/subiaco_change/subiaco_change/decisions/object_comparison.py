@@ -40,10 +40,10 @@ from subiaco_change.objects.voxel_objects import (
     Voxels,
     build_instances,
     build_voxels,
+    height_of,
     is_standing,
     join_voxels,
 )
-from subiaco_change.quantiles import quantile_of
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import ONE_EPOCH, Semantic
 from subiaco_geo.frames import Floats
@@ -126,12 +126,6 @@ def _parts(
 def _better(parts: Sequence[ObjectInstance]) -> Semantic:
     """Class of the better-scored part of a match."""
     return max(parts, key=lambda t: t.score).semantic
-
-
-def height_of(objects: Sequence[ObjectInstance], quantile: float = 0.95) -> float:
-    """Height above ground that a share of the voxels of an object stays under [m]; NaN without voxels."""
-    voxels = join_voxels(objects)
-    return quantile_of(voxels.height, quantile) if len(voxels) else math.nan
 
 
 def log_ratio(before: float, after: float, unknown: float = 0.0) -> float:

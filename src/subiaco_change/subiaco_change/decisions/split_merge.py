@@ -31,8 +31,7 @@ from subiaco_change.instance_splitting.merged_instances import (
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, no_decision, switchable
-from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
-from subiaco_change.quantiles import quantile_of
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, height_of, join_voxels
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
@@ -79,10 +78,10 @@ def _bodies(change: ObjectChange, room: float) -> tuple[Voxels, Voxels]:
 
     A fence that ran along an extension is left of it.
     """
-    sides = [join_voxels(objects) for objects in (change.before, change.after)]
-    tall = [len(v) > 0 and quantile_of(v.height, 0.95) >= room for v in sides]
+    sides = change.before, change.after
+    tall = [height_of(objects) >= room for objects in sides]
     before, after = (
-        v.select(np.full(len(v), one or not any(tall))) for v, one in zip(sides, tall, strict=True)
+        join_voxels(objects if one or not any(tall) else ()) for objects, one in zip(sides, tall, strict=True)
     )
     return before, after
 
@@ -166,7 +165,7 @@ def _remains_little(change: ObjectChange, rules: ObjectRules) -> bool:
     """Tell whether a building stands in one epoch, and a fence or a container in its place in the other."""
     if change.semantic is not Semantic.BUILDING or not (change.before and change.after):
         return False
-    tops = [quantile_of(join_voxels(objects).height, 0.95) for objects in (change.before, change.after)]
+    tops = [height_of(objects) for objects in (change.before, change.after)]
     low = min(tops) < rules.measures.carving.room <= max(tops)
     return low or min(tops) < _REMAINS * max(tops)
 

@@ -438,6 +438,8 @@ def _without_layers(changed: Cells, old: Voxels, frame: _Frame) -> Cells:
 
     What is higher than that stays: a storey behind the scaffolding by which it was built.
     """
+    if not changed.any():  # as of most houses
+        return changed
     number, count = ndimage.label(changed, _TOUCHING)
     cells = np.argwhere(changed)
     column = cells[:, 0] * frame.shape[1] + cells[:, 1]

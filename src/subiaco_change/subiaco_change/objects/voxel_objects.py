@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -14,6 +15,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.objects.known_space import Free
 from subiaco_change.objects.vehicle_bodies import inside_vehicles
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
@@ -341,3 +343,9 @@ def join_voxels(objects: Sequence[ObjectInstance]) -> Voxels:
             np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), flags, flags, flags
         )
     return Voxels.joined([t.voxels for t in objects])
+
+
+def height_of(objects: Sequence[ObjectInstance]) -> float:
+    """Height above ground that 95 % of the voxels of an object stay under [m]; NaN without voxels."""
+    voxels = join_voxels(objects)
+    return quantile_of(voxels.height, 0.95) if len(voxels) else math.nan
