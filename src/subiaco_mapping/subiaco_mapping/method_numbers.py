@@ -293,6 +293,32 @@ class PoseGraphNumbers(StrictModel):
     )
 
 
+class UprightWallNumbers(StrictModel):
+    """Numbers of ``pose_graph/upright_walls.py``."""
+
+    edge: float = Field(3.0, description="Edge of the cubes that are searched for pieces of walls [m]")
+    fewest: int = Field(12, description="Smallest number of voxels of a submap in a piece of wall")
+    thickest: float = Field(
+        0.04, description="Largest standard deviation of the points of a piece from its plane [m]"
+    )
+    narrowest: float = Field(
+        0.5,
+        description="Smallest standard deviation of the points of a piece along its narrower direction [m]",
+    )
+    reach: float = Field(0.1, description="Largest sine of the lean of a wall from the first guess")
+    kernel: float = Field(0.02, description="Width of the Cauchy kernel of the lean of a wall [rad]")
+    same_azimuth: float = Field(
+        0.1745, description="Width of a class of azimuths whose pieces can lie in one wall [rad]"
+    )
+    same_offset: float = Field(
+        2.0, description="Width of a class of distances whose pieces can lie in one wall [m]"
+    )
+    rounds: int = Field(6, description="Number of rounds of the robust estimate of the vertical")
+    guess_weight: float = Field(
+        0.1, description="Weight of the first guess of the vertical, in numbers of walls"
+    )
+
+
 class PreprocessingNumbers(StrictModel):
     """Numbers of ``preprocessing/``."""
 
@@ -356,6 +382,7 @@ class MappingNumbers(StrictModel):
     loop_closure: LoopClosureNumbers = LoopClosureNumbers()
     odometry: OdometryNumbers = OdometryNumbers()
     pose_graph: PoseGraphNumbers = PoseGraphNumbers()
+    upright_walls: UprightWallNumbers = UprightWallNumbers()
     preprocessing: PreprocessingNumbers = PreprocessingNumbers()
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.calibration.config import CalibrationConfig
+from subiaco_mapping.planes_in_cubes import planes_in_cubes
 
 POINTS_A_SCAN = 6000
 STEEPEST = 0.2  # cosine between a facade's normal and the vertical
@@ -57,22 +57,10 @@ def sampled(xyz: Floats, config: CalibrationConfig) -> Floats:
 
 def find_facades(xyz: Floats, up: Floats, config: CalibrationConfig) -> Facades:
     """Return the cubes of a map (N, 3) through which one facade goes; ``up`` (3,) is the vertical."""
-    cell = voxel_indices(xyz, config.facade_cell)
-    key = voxel_keys(cell)
-    names, index, counts = np.unique(key, return_inverse=True, return_counts=True)
-    inside = xyz - (cell + 0.5) * config.facade_cell
-    mean = np.stack([np.bincount(index, inside[:, i]) for i in range(3)], axis=1) / counts[:, None]
-    spread = np.empty((len(names), 3, 3))
-    for i in range(3):
-        for j in range(i, 3):
-            product = np.bincount(index, inside[:, i] * inside[:, j]) / counts
-            spread[:, i, j] = spread[:, j, i] = product - mean[:, i] * mean[:, j]
-    many = counts >= config.facade_points
-    names, (values, vectors) = names[many], np.linalg.eigh(spread[many])
-    thickness = np.sqrt(np.maximum(values[:, 0], 0.0))
-    upright = np.abs(vectors[:, :, 0] @ up) < STEEPEST
-    flat = (thickness < FLATTEST * np.sqrt(np.maximum(values[:, 1], 0.0))) & (thickness < HIGHEST)
-    return Facades(names[upright & flat], thickness[upright & flat])
+    planes = planes_in_cubes(xyz, config.facade_cell, config.facade_points)
+    upright = np.abs(planes.normal @ up) < STEEPEST
+    flat = (planes.thickness < FLATTEST * planes.width) & (planes.thickness < HIGHEST)
+    return Facades(planes.key[upright & flat], planes.thickness[upright & flat])
 
 
 def compare(before: Facades, after: Facades, config: CalibrationConfig) -> FacadeComparison:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import small_gicp
 from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.loop_closure.config import LoopConfig
 from subiaco_mapping.measurements import DeskewedScan, OdometryPose
+from subiaco_mapping.pose_graph.upright_walls import WallPieces, wall_pieces
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,11 @@ class Submap:
     def points(self) -> Floats:
         """Read the points (N, 3) [m]."""
         return np.asarray(np.load(self.path), dtype=np.float64)
+
+    @cached_property
+    def wall_pieces(self) -> WallPieces:
+        """Flat pieces of the size of a wall; found once."""
+        return wall_pieces(self.points())
 
 
 class SubmapBuilder:

@@ -136,6 +136,7 @@ def _position_facts(series: list[Series]) -> dict[str, float]:
         "length_m": sum(one.way for one in series),
         **_quantiles("sigma_horizontal", horizontal),
         **_quantiles("sigma_vertical", sigma[:, 2]),
+        **_quantiles("sigma_vertical_beside", np.concatenate([one.sigma_beside for one in series])),
     }
 
 

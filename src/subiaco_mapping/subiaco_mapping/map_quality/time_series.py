@@ -12,6 +12,9 @@ from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.pose_graph.records import Chain
 from subiaco_mapping.survey_graph.solution import GraphSolution, SequenceSolution
 
+#: Distance from the vehicle at which the uncertainty of heights is told: that of facades and gardens [m].
+BESIDE = 20.0
+DIRECTIONS = 16
 #: RTK states of a pose: no fix near it, then the states of the fixes.
 STATES = {-1: "no fix", 0: "single", 1: "float", 2: "RTK fixed"}
 
@@ -29,6 +32,8 @@ class Series:
         Of ``lidar_link``, coordinates of the map [m].
     sigma : (S, 3) float64
         East, north, up [m].
+    sigma_beside : (S,) float64
+        Of the height of a point :data:`BESIDE` away, in the direction in which it is largest [m].
     state : (S,) int64
         See :data:`STATES`.
     speed : (S,) float64
@@ -41,6 +46,7 @@ class Series:
     seconds: Floats
     position: Floats
     sigma: Floats
+    sigma_beside: Floats
     state: Ints
     speed: Floats
     correction: Floats
@@ -71,10 +77,19 @@ def _series(solved: SequenceSolution, chain: Chain, projection: Projection, conf
         seconds=seconds,
         position=projection.points(local),
         sigma=np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)),
+        sigma_beside=_sigma_beside(solved.covariance),
         state=_states(chain, config.manifest.rtk_gap_ns),
         speed=_speed(seconds, local),
         correction=_corrections(solved.T_local_lidar, chain.T_odom_lidar),
     )
+
+
+def _sigma_beside(covariance: Floats) -> Floats:
+    """Return the largest sigma of height (S,) [m] around poses of covariance (S, 6, 6)."""
+    azimuth = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
+    row = np.zeros((DIRECTIONS, 6))  # of the Jacobian of a point's height
+    row[:, 0], row[:, 1], row[:, 5] = BESIDE * np.sin(azimuth), -BESIDE * np.cos(azimuth), 1.0
+    return np.asarray(np.sqrt(np.einsum("di,sij,dj->sd", row, covariance, row).max(axis=1)))
 
 
 def _states(chain: Chain, gap_ns: int) -> Ints:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from subiaco_mapping.map_quality.config import MapQualityConfig
+from subiaco_mapping.map_quality.time_series import BESIDE
 
 #: Check, where its figure stands in the facts, its limit in the configuration.
 _CHECKS = (
@@ -104,6 +105,9 @@ def _said(facts: dict[str, Any]) -> list[str]:
             f"vertically off the path (RMS), {held['error_over_sigma']:.1f} times what was stated"
             + (f", and {held['contradicting']} contradict it" if held["contradicting"] else "")
         )
+    if facts["georeferenced"]:
+        beside = facts["positions"]["sigma_vertical_beside_median_m"]
+        said.append(f"heights {BESIDE:.0f} m from the vehicle have a standard deviation of {amount(beside)}")
     for kind, words in (("between", "drives meet each other"), ("within", "drives meet themselves")):
         seam = _at(facts, ("loops", kind, "seam_p95_m"))
         if seam is not None:

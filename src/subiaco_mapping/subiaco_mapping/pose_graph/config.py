@@ -118,6 +118,13 @@ class GraphConfig(StrictModel):
     sigma_gravity: float = Field(
         0.01, gt=0, description="Standard deviation of the attitude from one accelerometer window [rad]"
     )
+    sigma_accelerometer_bias: float = Field(
+        0.1, gt=0, description="Standard deviation of the accelerometer bias of a recording [m/s2]"
+    )
+    sigma_wall: float = Field(
+        0.02, gt=0, description="Standard deviation of the lean of a wall from the vertical [rad]"
+    )
+    walls: bool = Field(True, description="Level the map also by walls, which are taken to be vertical")
     gravity_window_ns: int = Field(
         1_000_000_000, gt=0, description="Length of an accelerometer window for the attitude [ns]"
     )

@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
+from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, invert_pose
@@ -32,6 +33,11 @@ def pose_key(chain: int, scan: int) -> int:
 def slow_key(chain: int, knot: int) -> int:
     """Return the key of a receiver's slow error, sign turned."""
     return chain * _CHAIN + (1 << 36) + knot
+
+
+def _bias_key(chain: int) -> int:
+    """Return the key of a recording's accelerometer bias, as a part of gravity."""
+    return chain * _CHAIN + (6 << 36)
 
 
 def _antenna_key(chain: int, fix: int) -> int:
@@ -79,19 +85,66 @@ def add_odometry(graph: Any, number: int, chain: Chain, config: GraphConfig, sta
 
 
 def add_gravity(
-    graph: Any, number: int, chain: Chain, config: GraphConfig, start: int = 0, *, weak: bool = True
+    graph: Any,
+    values: Any,
+    number: int,
+    chain: Chain,
+    config: GraphConfig,
+    start: int = 0,
+    *,
+    weak: bool = True,
 ) -> None:
-    """Add the vertical where the accelerometer gives it, else, if ``weak``, one at the first scan."""
-    up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
+    """Add the vertical where the accelerometer gives it, else, if ``weak``, one at the first scan.
+
+    The bias of the accelerometer is one unknown of the recording: without it a hundred windows would claim
+    a tenth of the error of one, while all of them are tilted alike.
+    """
+    bias, sigma = _bias_key(number), config.sigma_accelerometer_bias / constants.g
+    if start == 0 and len(chain.gravity.index):
+        values.insert(bias, np.zeros(3))
+        graph.add(gtsam.PriorFactorPoint3(bias, np.zeros(3), _diagonal(np.full(3, sigma))))
     huber = gtsam.noiseModel.mEstimator.Huber.Create(2.0)
-    noise = _robust(huber, np.eye(2) * config.sigma_gravity**2)
+    noise = _robust(huber, np.eye(3) * config.sigma_gravity**2)
     for index, direction in zip(chain.gravity.index[start:], chain.gravity.up[start:], strict=True):
-        key = pose_key(number, int(index))
-        graph.add(gtsam.AttitudeFactorPose3(key, up, noise, gtsam.Unit3(direction)))
+        graph.add(_gravity_factor(pose_key(number, int(index)), bias, direction, noise))
     if weak and len(chain.gravity.index) == 0 and chain.gnss is not None:
+        up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
         level = chain.T_world_odom[:3, :3] @ chain.T_odom_lidar[0, :3, :3]
         direction = gtsam.Unit3(level.T @ np.array([0.0, 0.0, 1.0]))
         graph.add(gtsam.AttitudeFactorPose3(pose_key(number, 0), up, _diagonal(np.full(2, 0.05)), direction))
+
+
+def _gravity_factor(pose: int, bias: int, direction: Floats, noise: Any) -> Any:
+    """Return the factor ``direction - up - bias`` (3,) in ``lidar_link``; gtsam has none of both unknowns."""
+
+    def error(_: Any, values: Any, jacobians: Any) -> Floats:
+        up = values.atPose3(pose).rotation().matrix()[2]
+        if jacobians is not None:
+            jacobians[0] = np.hstack([-gtsam.SO3.Hat(up), np.zeros((3, 3))])
+            jacobians[1] = -np.eye(3)
+        return np.asarray(direction - up - values.atPoint3(bias))
+
+    return gtsam.CustomFactor(noise, [pose, bias], error)
+
+
+def add_walls(graph: Any, number: int, chain: Chain, start: int = 0) -> None:
+    """Add that walls are vertical."""
+    unit = _diagonal(np.ones(3))
+    for index, root in zip(chain.walls.index[start:], chain.walls.root[start:], strict=True):
+        if root.any():
+            graph.add(_wall_factor(pose_key(number, int(index)), root, unit))
+
+
+def _wall_factor(pose: int, root: Floats, noise: Any) -> Any:
+    """Return the factor ``root @ up`` (3,)."""
+
+    def error(_: Any, values: Any, jacobians: Any) -> Floats:
+        up = values.atPose3(pose).rotation().matrix()[2]
+        if jacobians is not None:
+            jacobians[0] = np.hstack([root @ gtsam.SO3.Hat(up), np.zeros((3, 3))])
+        return np.asarray(root @ up)
+
+    return gtsam.CustomFactor(noise, [pose], error)
 
 
 def add_anchor(graph: Any, number: int, chain: Chain) -> None:

@@ -23,6 +23,7 @@ from subiaco_mapping.pose_graph.factors import (
     add_heading,
     add_loops,
     add_odometry,
+    add_walls,
     add_white_fixes,
     as_pose,
     pose_key,
@@ -113,7 +114,8 @@ class LiveGraph:
             values.insert(pose_key(number, k), as_pose(poses[k]))
         add_odometry(graph, number, chain, self._config, start)
         gravity = self._new("gravity", number, len(chain.gravity.index))
-        add_gravity(graph, number, chain, self._config, gravity, weak=start == 0)
+        add_gravity(graph, values, number, chain, self._config, gravity, weak=start == 0)
+        add_walls(graph, number, chain, self._new("walls", number, len(chain.walls.index)))
         if chain.heading is not None:
             add_heading(graph, number, chain, poses, self._new("heading", number, len(chain.heading.index)))
         if chain.gnss is not None:

@@ -64,6 +64,22 @@ class GravityPriors:
 
 
 @dataclass(frozen=True)
+class WallPriors:
+    """Walls near scans are vertical: ``root @ up`` is zero with unit variance.
+
+    Parameters
+    ----------
+    index : (N,) int64
+        Scan.
+    root : (N, 3, 3) float64
+        Square root of the information on *up* in ``lidar_link`` of the scan [1/rad]; zero without walls.
+    """
+
+    index: Ints
+    root: Floats
+
+
+@dataclass(frozen=True)
 class Chain:
     """One sequence of scans for the graph.
 
@@ -83,6 +99,7 @@ class Chain:
     heading : HeadingPriors or None
     anchored : bool
         Nothing but this chain's own start says where it is.
+    walls : WallPriors
     """
 
     stamps_ns: Ints
@@ -95,6 +112,9 @@ class Chain:
     gnss: GnssPriors | None = None
     heading: HeadingPriors | None = None
     anchored: bool = False
+    walls: WallPriors = field(
+        default_factory=lambda: WallPriors(np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)))
+    )
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -21,6 +21,7 @@ from subiaco_mapping.pose_graph.factors import (
     add_heading,
     add_loops,
     add_odometry,
+    add_walls,
     as_pose,
     handed_on,
     pose_key,
@@ -45,7 +46,8 @@ def _build(
         for k, pose in enumerate(own):
             values.insert(pose_key(number, k), as_pose(pose))
         add_odometry(graph, number, chain, config)
-        add_gravity(graph, number, chain, config)
+        add_gravity(graph, values, number, chain, config)
+        add_walls(graph, number, chain)
         add_heading(graph, number, chain, own)
         add_fixes(graph, values, number, chain, own, gnss, make, offset=ties.offset_sigma is not None)
         if chain.anchored:

@@ -15,7 +15,8 @@ from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph import gnss
 from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.pose_graph.gravity import gravity_priors
-from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors, HeadingPriors
+from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors, HeadingPriors, WallPriors
+from subiaco_mapping.pose_graph.upright_walls import wall_priors
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.survey_graph.solution import SequenceSolution
 
@@ -109,6 +110,23 @@ def chain_of(
         gnss=priors,
         heading=heading,
         anchored=frame is None and placed,
+        walls=_walls_of(sequence, poses, up_odom, config),
+    )
+
+
+def _walls_of(
+    sequence: SequenceRecord, T_odom_lidar: Floats, up_odom: Floats, config: MappingConfig
+) -> WallPriors:
+    """Return what the walls of a recording say; each wall is in several submaps, which share its lean."""
+    submaps = [] if sequence.submaps is None or not config.graph.walls else sequence.submaps.done
+    index = np.array([submap.anchor for submap in submaps], dtype=np.int64)
+    seen_from = max(2 * config.loops.radius / config.loops.submap_length, 1.0)
+    return wall_priors(
+        [submap.wall_pieces for submap in submaps],
+        index,
+        T_odom_lidar[index, :3, :3],
+        up_odom / np.linalg.norm(up_odom),
+        config.graph.sigma_wall * np.sqrt(seen_from),
     )
 
 
