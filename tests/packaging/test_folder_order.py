@@ -13,6 +13,7 @@ SOURCES = Path(__file__).resolve().parents[2] / "src"
 ORDER = {
     "subiaco_mapping": [
         "measurements", "method_numbers", "topic_names", "request", "named_bags", "robust_plane",
+        "planes_in_cubes",
         "control_points", "control",
         "preprocessing", "importers", "recording",
         "odometry",

@@ -305,7 +305,7 @@ class UprightWallNumbers(StrictModel):
         0.5,
         description="Smallest standard deviation of the points of a piece along its narrower direction [m]",
     )
-    reach: float = Field(0.1, description="Largest sine of the lean of a wall from the first guess")
+    reach: float = Field(0.1, description="Largest lean of a wall from the first guess of the vertical [rad]")
     kernel: float = Field(0.02, description="Width of the Cauchy kernel of the lean of a wall [rad]")
     same_azimuth: float = Field(
         0.1745, description="Width of a class of azimuths whose pieces can lie in one wall [rad]"
@@ -358,6 +358,19 @@ class PreprocessingNumbers(StrictModel):
     timed_points: int = Field(
         100,
         description="Smallest number of points of a cloud from which the duration of a sweep is measured",
+    )
+    cloud_rings: tuple[int, int] = Field(
+        (8, 256),
+        description="Fewest and most rings of a cloud whose missing beams are searched for the sky",
+    )
+    cloud_columns: tuple[int, int] = Field(
+        (180, 4096), description="Fewest and most columns of a turn that are assumed of such a cloud"
+    )
+    ring_spread_deg: float = Field(
+        0.3, description="Largest standard deviation of the elevations of one ring of such a cloud [deg]"
+    )
+    ring_nearest: float = Field(
+        3.0, description="Range below which returns tell no elevation, for their beams begin apart [m]"
     )
     sky_ring_step: int = Field(
         2,

@@ -46,6 +46,7 @@ from subiaco_mapping.measurements import (
 from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.pose_graph.gnss import PlaceCheck
+from subiaco_mapping.preprocessing.cloud_sky import SkyOfClouds
 from subiaco_mapping.preprocessing.conversions import (
     extrinsics_from_tf,
     fix_from_msg,
@@ -103,11 +104,13 @@ def read_metadata(reader: BagReader) -> str | None:
     return None if first is None else str(reader.deserialize(first).data)
 
 
-def read_cloud(reader: BagReader, message: BagMessage, config: MappingConfig) -> Scan:
+def read_cloud(
+    reader: BagReader, message: BagMessage, config: MappingConfig, sky: SkyOfClouds | None = None
+) -> Scan:
     """Return the scan of a recorded cloud: a PointCloud2, or a ``CustomMsg`` of Livox."""
     if message.msg_type in LIVOX_TYPES:
         return scan_from_livox(message.raw, config)
-    return scan_from_points(reader.deserialize(message), config)
+    return scan_from_points(reader.deserialize(message), config, sky)
 
 
 class SequenceSink(Protocol):
@@ -148,7 +151,7 @@ def run_sequence(
     name = sequence_name(reader.path)
     backend.start_sequence(name, extrinsics)
 
-    scans = 0
+    scans, sky = 0, SkyOfClouds()
 
     def feed(outputs: list[FrontendOutput]) -> None:
         nonlocal scans
@@ -163,7 +166,7 @@ def run_sequence(
 
     steps: dict[str, Callable[..., None]] = {
         LIDAR_PACKETS: lambda m: feed(frontend.on_packet(packet_from_cdr(m.raw))),
-        POINTS: lambda m: feed(frontend.on_points(read_cloud(reader, m, config))),
+        POINTS: lambda m: feed(frontend.on_points(read_cloud(reader, m, config, sky))),
         IMU: lambda m: feed(frontend.on_imu(imu_from_msg(reader.deserialize(m)))),
         FIX: lambda m: take(fix_from_msg(reader.deserialize(m), config.gnss)),
         HEADING: lambda m: backend.on_heading(heading_from_msg(reader.deserialize(m))),

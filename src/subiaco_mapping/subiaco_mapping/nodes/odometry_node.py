@@ -44,6 +44,7 @@ from subiaco_mapping.nodes.names import (
     SKY,
 )
 from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.preprocessing.cloud_sky import SkyOfClouds
 from subiaco_mapping.preprocessing.conversions import imu_from_msg, scan_from_points
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_ros.diagnostics import Diagnostics, lidar_identity
@@ -139,6 +140,7 @@ class OdometryApp:
         self._metadata: str | None = None
         self._announced: frozenset[str] = frozenset()
         self._frontend: Frontend | None = None
+        self._sky = SkyOfClouds()
         self._extrinsics = Extrinsics()
         self._covariance: PoseCovariance | None = None
         self._last_pose: OdometryPose | None = None
@@ -267,7 +269,7 @@ class OdometryApp:
             return
         frontend = self._sequence_frontend(POINTS)
         if frontend is not None:
-            self._publish(frontend.on_points(scan_from_points(message, self._config)))
+            self._publish(frontend.on_points(scan_from_points(message, self._config, self._sky)))
             self._follow_time(frontend, POINTS)
 
     def _on_imu(self, message: Imu) -> None:

@@ -16,7 +16,16 @@ from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.planes_in_cubes import planes_in_cubes
 from subiaco_mapping.pose_graph.records import WallPriors
 
-_WALLS = NUMBERS.upright_walls
+_EDGE = NUMBERS.upright_walls.edge
+_FEWEST = NUMBERS.upright_walls.fewest
+_GUESS_WEIGHT = NUMBERS.upright_walls.guess_weight
+_KERNEL = NUMBERS.upright_walls.kernel
+_NARROWEST = NUMBERS.upright_walls.narrowest
+_REACH = NUMBERS.upright_walls.reach
+_ROUNDS = NUMBERS.upright_walls.rounds
+_SAME_AZIMUTH = NUMBERS.upright_walls.same_azimuth
+_SAME_OFFSET = NUMBERS.upright_walls.same_offset
+_THICKEST = NUMBERS.upright_walls.thickest
 
 
 @dataclass(frozen=True)
@@ -38,10 +47,10 @@ def wall_pieces(points: Floats) -> WallPieces:
     strip of a wall about its own height, where the first grid has a limit.
     """
     found = []
-    for shift in (0.0, _WALLS.edge / 2):
+    for shift in (0.0, _EDGE / 2):
         offset = np.array([0.0, 0.0, shift])
-        planes = planes_in_cubes(points + offset, _WALLS.edge, _WALLS.fewest)
-        flat = (planes.thickness < _WALLS.thickest) & (planes.width > _WALLS.narrowest)
+        planes = planes_in_cubes(points + offset, _EDGE, _FEWEST)
+        flat = (planes.thickness < _THICKEST) & (planes.width > _NARROWEST)
         sigma = planes.thickness[flat] / (np.sqrt(planes.count[flat]) * planes.width[flat])
         found.append(WallPieces(planes.normal[flat], planes.mean[flat] - offset, sigma))
     first, second = found
@@ -81,15 +90,15 @@ def wall_priors(
     owner = np.repeat(np.arange(len(pieces)), [len(own.normal) for own in pieces])
     normal = np.concatenate([own.normal for own in pieces])
     in_odom = np.einsum("nij,nj->ni", R_odom_lidar[owner], normal)
-    upright = np.abs(in_odom @ up_odom) < _WALLS.reach
+    upright = np.abs(in_odom @ up_odom) < _REACH
     owner, normal, in_odom = owner[upright], normal[upright], in_odom[upright]
     mean = np.concatenate([own.mean for own in pieces])[upright]
     noise = np.concatenate([own.sigma for own in pieces])[upright]
     share = 1.0 / (_pieces_of_same_wall(owner, normal, mean) * (1.0 + (noise / sigma) ** 2))
     up, kept = up_odom, share
-    for _ in range(_WALLS.rounds):
+    for _ in range(_ROUNDS):
         lean = in_odom @ up
-        kept = share / (1.0 + (lean / _WALLS.kernel) ** 2)
+        kept = share / (1.0 + (lean / _KERNEL) ** 2)
         up = _levelled(up, up_odom, in_odom, lean, kept)
     weight = kept / sigma**2
     for k in range(len(pieces)):
@@ -104,8 +113,8 @@ def _pieces_of_same_wall(owner: Ints, normal: Floats, mean: Floats) -> Ints:
     """Return how many pieces of the same submap lie in the plane of each piece (W,)."""
     side = np.where(normal[:, :1] + 1e-3 * normal[:, 1:2] < 0, -1.0, 1.0)
     facing = side * normal
-    azimuth = np.round(np.arctan2(facing[:, 1], facing[:, 0]) / _WALLS.same_azimuth)
-    offset = np.round(np.einsum("ni,ni->n", facing, mean) / _WALLS.same_offset)
+    azimuth = np.round(np.arctan2(facing[:, 1], facing[:, 0]) / _SAME_AZIMUTH)
+    offset = np.round(np.einsum("ni,ni->n", facing, mean) / _SAME_OFFSET)
     _, same, counts = np.unique(
         np.column_stack([owner, azimuth, offset]), axis=0, return_inverse=True, return_counts=True
     )
@@ -116,9 +125,9 @@ def _levelled(up: Floats, first: Floats, normal: Floats, lean: Floats, weight: F
     """Return the unit vector near ``up`` to which the weighted normals are most nearly perpendicular."""
     across = np.linalg.svd(up[None])[2][1:]
     design = normal @ across.T
-    information = (design * weight[:, None]).T @ design + np.eye(2) * _WALLS.guess_weight
+    information = (design * weight[:, None]).T @ design + np.eye(2) * _GUESS_WEIGHT
     step = np.linalg.solve(
-        information, _WALLS.guess_weight * across @ (first - up) - design.T @ (weight * lean)
+        information, _GUESS_WEIGHT * across @ (first - up) - design.T @ (weight * lean)
     )
     turned = up + step @ across
     return np.asarray(turned / np.linalg.norm(turned))

@@ -21,6 +21,7 @@ from subiaco_mapping.measurements import (
     Returns,
     Scan,
 )
+from subiaco_mapping.preprocessing.cloud_sky import SkyOfClouds
 from subiaco_mapping.preprocessing.config import FramePose, SensorsConfig
 from subiaco_mapping.preprocessing.gnss_drivers import StatusReading, rtk_state
 from subiaco_mapping.preprocessing.point_times import TIME_FIELDS, point_times
@@ -97,20 +98,23 @@ def _column(points: NDArray[np.void], names: tuple[str, ...], dtype: Any) -> NDA
     return np.zeros(len(points), dtype=dtype) if name is None else points[name].astype(dtype)
 
 
-def scan_from_points(message: Any, config: MappingConfig) -> Scan:
+def scan_from_points(message: Any, config: MappingConfig, sky: SkyOfClouds | None = None) -> Scan:
     """Convert a sensor_msgs/PointCloud2 of any LiDAR.
 
-    Points that are not finite or outside the range limits are dropped; the former are counted.
+    Points that are not finite or outside the range limits are dropped; the former are counted. ``sky`` finds
+    the beams that met nothing.
 
     Raises
     ------
     InputError
         No x y z, or no point times while ``deskewed`` is not set.
     """
-    return scan_from_array(cloud_array(message), stamp_ns(message.header.stamp), config)
+    return scan_from_array(cloud_array(message), stamp_ns(message.header.stamp), config, sky)
 
 
-def scan_from_array(points: NDArray[np.void], header_ns: int, config: MappingConfig) -> Scan:
+def scan_from_array(
+    points: NDArray[np.void], header_ns: int, config: MappingConfig, sky: SkyOfClouds | None = None
+) -> Scan:
     """Convert the points of a cloud.
 
     Parameters
@@ -121,6 +125,8 @@ def scan_from_array(points: NDArray[np.void], header_ns: int, config: MappingCon
     header_ns : int
         Stamp of the message, from where times that are not absolute count.
     config : MappingConfig
+    sky : SkyOfClouds, optional
+        Of the scanner; without it no beam is taken to have met nothing.
 
     Raises
     ------
@@ -147,10 +153,15 @@ def scan_from_array(points: NDArray[np.void], header_ns: int, config: MappingCon
     intensity = _column(points, ("intensity", "reflectivity", "i"), np.float32)
     ring = _column(points, ("ring", "line", "channel"), np.uint16)
     inside = times_ns[keep] + offset_ns
+    empty = None
+    if sky is not None and not config.deskewed and "ring" in (points.dtype.names or ()):
+        met = finite & (reach > 0)
+        empty = sky.find(xyz[met], times_ns[met] + offset_ns, ring[met], config.decode.sky_range)
     return Scan(
         start_ns=int(inside.min(initial=header_ns + offset_ns)) if len(inside) else header_ns + offset_ns,
         end_ns=int(inside.max()) if len(inside) else header_ns + offset_ns,
         first=Returns(xyz[keep], inside, intensity[keep], ring[keep]),
+        sky=empty,
         dropped_points=int((~finite).sum()),
         deskewed=config.deskewed,
     )
