@@ -22,6 +22,7 @@ from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
 from subiaco_geo.codes import CHANGED, Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
+_INTERIOR = NUMBERS.point_labels.interior_reach
 _AROUND = NUMBERS.point_labels.surrounding_points
 
 
@@ -84,9 +85,24 @@ def label_rest(
     seen[hidden] = surrounded(view.xyz[loose[hidden], :2], other_ground[:, :2], evidence.ground_between)
     labels.change[loose[~seen]] = Change.UNOBSERVED
     joined = _join_fragments(view.xyz, labels, loose[fragment & ~seen], touch)
+    inside = _join_interiors(view, labels, loose)
     if ground is not None:
         _label_ground(ground, view, patch_ids, labels)
-    return joined
+    return np.union1d(joined, inside)
+
+
+def _join_interiors(view: EpochView, labels: PointLabels, loose: Ints) -> Ints:
+    """Give what was seen through windows the label of the building around it; return these points (K,).
+
+    It is no part of the object that is compared: furniture is another in each survey.
+    """
+    members = loose[(labels.instance[loose] < 0) & (view.semantic[loose] == Semantic.BUILDING)]
+    hosts = np.flatnonzero((labels.instance >= 0) & (labels.semantic == Semantic.BUILDING))
+    nearest = touching(view.xyz[members], view.xyz[hosts], _INTERIOR)
+    inside, host = members[nearest >= 0], hosts[nearest[nearest >= 0]]
+    for field in (labels.change, labels.instance, labels.confidence):
+        field[inside] = field[host]
+    return np.asarray(inside)
 
 
 def _join_fragments(xyz: Floats, labels: PointLabels, fragments: Ints, touch: float) -> Ints:

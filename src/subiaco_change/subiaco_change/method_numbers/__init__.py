@@ -63,6 +63,7 @@ from subiaco_change.method_numbers.registration_numbers import (
 from subiaco_change.method_numbers.segmentation_numbers import (
     InstancesNumbers,
     RaisedGroundNumbers,
+    BuildingInteriorsNumbers,
     RoofStructuresNumbers,
     SpacingNumbers,
     SparseNumbers,
@@ -83,6 +84,7 @@ class MethodNumbers(StrictModel):
     """All numbers of the method beside its settings, by the module that uses them."""
 
     absence: AbsenceNumbers = AbsenceNumbers()
+    building_interiors: BuildingInteriorsNumbers = BuildingInteriorsNumbers()
     building_extensions: BuildingExtensionsNumbers = BuildingExtensionsNumbers()
     layers: LayersNumbers = LayersNumbers()
     changed_houses: ChangedHousesNumbers = ChangedHousesNumbers()

@@ -22,6 +22,9 @@ class LayersNumbers(StrictModel):
     depth: float = Field(
         2.0, description="Distance from a wall within which a place lies close before the wall [m]"
     )
+    front: float = Field(
+        0.75, description="Distance from a wall at which the space before it must have been seen free [m]"
+    )
     ahead: float = Field(
         0.7,
         description="Smallest cosine between the normal of a wall and the direction to a place before the"
@@ -588,6 +591,10 @@ class PlantTopsNumbers(StrictModel):
 class PointLabelsNumbers(StrictModel):
     """Numbers of ``decisions/point_labels.py``."""
 
+    interior_reach: float = Field(
+        6.0,
+        description="Distance from a building up to which points seen through windows have its label [m]",
+    )
     surrounding_points: int = Field(
         12,
         description="Number of nearest points that decide whether a place lies among the points of an object",

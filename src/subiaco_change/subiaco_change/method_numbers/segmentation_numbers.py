@@ -32,6 +32,25 @@ class RoofStructuresNumbers(StrictModel):
     )
 
 
+class BuildingInteriorsNumbers(StrictModel):
+    """Numbers of ``segmentation/building_interiors.py``."""
+
+    cell: float = Field(0.5, description="Edge of the columns in which walls are searched [m]")
+    sight: float = Field(
+        40.0, description="Distance of the places of the sensor from which a point is looked at [m]"
+    )
+    sensor_step: float = Field(3.0, description="Distance between two places of the sensor [m]")
+    before_point: float = Field(
+        1.0, description="Distance from a point at which the search for walls before it begins [m]"
+    )
+    hidden: float = Field(
+        0.9, description="Fraction of the places of the sensor from which a point behind walls is hidden"
+    )
+    lowest_wall: float = Field(
+        2.2, description="Smallest height of a wall of a building, that of a room [m]"
+    )
+
+
 class RaisedGroundNumbers(StrictModel):
     """Numbers of ``segmentation/raised_ground.py``."""
 

@@ -215,6 +215,21 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "building_interiors",
+        _HERE,
+        "What lies behind a wall of a building as seen from everywhere on the survey path was seen through"
+        " windows: it is a part of the building, and no plant.",
+        (
+            "method_numbers.building_interiors.cell",
+            "method_numbers.building_interiors.sight",
+            "method_numbers.building_interiors.sensor_step",
+            "method_numbers.building_interiors.before_point",
+            "method_numbers.building_interiors.hidden",
+            "method_numbers.building_interiors.lowest_wall",
+            "method_numbers.point_labels.interior_reach",
+        ),
+    ),
+    Rule(
         "objects_under_roofs",
         _HERE,
         "An object below a roof with clearance above it is no part of the building: a car under a carport.",

@@ -10,23 +10,28 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
+from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats
 
 _DEPTH = NUMBERS.layers.depth
+_FRONT = NUMBERS.layers.front
 _AHEAD = NUMBERS.layers.ahead
 _STEEP = NUMBERS.layers.wall_normal
 
 
-def _before_none(places: Floats, _: Voxels) -> Mask:
+def _before_none(places: Floats, *_: object) -> Mask:
     """Return that no place lies before a wall."""
     return np.zeros(len(places), dtype=bool)
 
 
 @switchable("layers_before_walls", _before_none)
-def before_walls(places: Floats, voxels: Voxels) -> Mask:
+def before_walls(places: Floats, voxels: Voxels, outside: Empty | None = None) -> Mask:
     """Tell which places lie close before walls that both epochs have.
+
+    A storey lies behind the upper edge of the wall on which it was built: what faces a wall lies on the side
+    on which the space in front of the wall was seen free.
 
     Parameters
     ----------
@@ -34,6 +39,8 @@ def before_walls(places: Floats, voxels: Voxels) -> Mask:
         In the local frame [m].
     voxels : Voxels
         Of a building in one epoch, and which of them the other epoch has too.
+    outside : callable, optional
+        Tells which places (N, 3) the epoch of the voxels saw free, outside the building; None: both sides count.
 
     Returns
     -------
@@ -42,11 +49,16 @@ def before_walls(places: Floats, voxels: Voxels) -> Mask:
     steep = np.hypot(voxels.normal[:, 0], voxels.normal[:, 1]) > _STEEP
     walls = voxels.select(steep & voxels.occupied_in_other)
     if len(walls) == 0 or len(places) == 0:
-        return _before_none(places, voxels)
+        return _before_none(places)
     distance, nearest = cKDTree(walls.xyz).query(places, distance_upper_bound=_DEPTH)
     near = np.flatnonzero(np.isfinite(distance))
     step = places[near] - walls.xyz[nearest[near]]
-    ahead = np.abs((step * walls.normal[nearest[near]]).sum(axis=1)) >= _AHEAD * distance[near]
-    found = _before_none(places, voxels)
+    normal = walls.normal[nearest[near]]
+    along = (step * normal).sum(axis=1)
+    ahead = np.abs(along) >= _AHEAD * distance[near]
+    if outside is not None:
+        front = walls.xyz[nearest[near]] + np.sign(along)[:, None] * normal * _FRONT
+        ahead[ahead] = outside(front[ahead])
+    found = _before_none(places)
     found[near] = ahead
     return found

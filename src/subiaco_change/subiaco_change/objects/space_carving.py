@@ -383,7 +383,7 @@ def _difference(
     """
     voxels = sides[1]
     solid = new.solid | _behind_new_walls(old, new, config)
-    number, count = ndimage.label(_without_layers(old.free & solid, sides[0], frame), _TOUCHING)
+    number, count = ndimage.label(_without_layers(old.free & solid, sides[0], old.free, frame), _TOUCHING)
     kinds = (
         voxels.observed_unoccupied,
         ~voxels.occupied_in_other,
@@ -433,7 +433,7 @@ def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
     return part
 
 
-def _without_layers(changed: Cells, old: Voxels, frame: _Frame) -> Cells:
+def _without_layers(changed: Cells, old: Voxels, free: Cells, frame: _Frame) -> Cells:
     """Remove the parts of changed cells most of which lie close before walls that both epochs have.
 
     What is higher than that stays: a storey behind the scaffolding by which it was built.
@@ -444,7 +444,15 @@ def _without_layers(changed: Cells, old: Voxels, frame: _Frame) -> Cells:
     cells = np.argwhere(changed)
     column = cells[:, 0] * frame.shape[1] + cells[:, 1]
     height = frame.foot.ravel()[column] + frame.levels[cells[:, 2]]
-    layer = before_walls(np.column_stack([frame.middles()[column], height]), old)
+    places = np.column_stack([frame.middles()[column], height])
+
+    def outside(fronts: Floats) -> Mask:
+        ground = old.ground_near(fronts[:, :2])
+        slot = np.column_stack([frame.slots(fronts[:, :2]), (fronts[:, 2] - ground) / frame.rise])
+        cell = np.clip(slot.astype(np.int64), 0, np.array(frame.shape) - 1)
+        return np.asarray(free[tuple(cell.T)])
+
+    layer = before_walls(places, old, outside)
     part = number[changed]
     size, covered = (np.bincount(some, minlength=count + 1) for some in (part, part[layer]))
     top = np.zeros(count + 1, dtype=np.int64)

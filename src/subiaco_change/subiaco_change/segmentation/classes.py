@@ -12,6 +12,7 @@ from pydantic import Field
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
+from subiaco_change.segmentation.building_interiors import inside_facades
 from subiaco_change.segmentation.buildings import (
     attach_parts,
     building_planes,
@@ -145,7 +146,8 @@ class SemanticResult:
     ``semantic`` (N,) uint8; ``scores`` (N, 5) float32, rows sum to 1;
     ``height_above_ground`` (N,) float32 [m]; ``ground`` in the cloud's local
     frame; ``superpoint`` (N,) int32; ``moving`` (N,) bool, the part of *mobile*
-    that is the trail of something that moved.
+    that is the trail of something that moved; ``interior`` (N,) bool, the part of *building* that was seen
+    through windows.
     """
 
     semantic: NDArray[np.uint8]
@@ -154,6 +156,7 @@ class SemanticResult:
     ground: GroundModel
     superpoint: NDArray[np.int32]
     moving: Mask
+    interior: Mask
 
 
 def label_points(
@@ -162,6 +165,7 @@ def label_points(
     passed: Floats | None = None,
     raised: RaisedSurfaces | None = None,
     moved: Floats | None = None,
+    sensor: Floats | None = None,
 ) -> SemanticResult:
     """Label every point of a cloud at the working leaf.
 
@@ -178,7 +182,10 @@ def label_points(
         counts; takes the place of ``passed``.
     raised : RaisedSurfaces, optional
         Roofs and decks in the frame of the cloud, known from farther around; found in the cloud if None.
+    sensor : (K, 3) float64, optional
+        Places of the sensor in the frame of the cloud [m]; tells what was seen through windows.
     """
+    sensor = np.zeros((0, 3)) if sensor is None else sensor
     order = sort_spatially(cloud.xyz)
     xyz = cloud.xyz[order]
     surfaces = find_raised(xyz, config.raised) if raised is None else raised
@@ -187,7 +194,7 @@ def label_points(
     features = compute_features(xyz, config.features)
     parts = partition(_superpoint_features(features, height, config), features.neighbours, config.superpoints)
     beams = [None if b is None else np.asarray(b, dtype=np.float64)[order] for b in (passed, moved)]
-    semantic, moving = _classify(xyz, height, features, parts.labels, ground, beams, config)
+    semantic, moving, interior = _classify(xyz, height, features, parts.labels, ground, beams, sensor, config)
     scores = _scores(semantic, features)
     back = np.argsort(order, kind="stable")
     return SemanticResult(
@@ -197,6 +204,7 @@ def label_points(
         ground,
         parts.labels[back].astype(np.int32),
         moving[back],
+        interior[back],
     )
 
 
@@ -212,9 +220,10 @@ def _classify(
     parts: Ints,
     ground: GroundModel,
     beams: Sequence[Floats | None],
+    sensor: Floats,
     config: SemanticsConfig,
-) -> tuple[NDArray[np.uint8], Mask]:
-    """Apply the classes in the order of their priority; the rest is *other*. Tell trails too."""
+) -> tuple[NDArray[np.uint8], Mask, Mask]:
+    """Apply the classes in the order of their priority; the rest is *other*. Tell trails and interiors too."""
     semantic = np.full(len(xyz), Semantic.OTHER, dtype=np.uint8)
     is_ground = _find_ground(xyz, height, features, parts, ground, config)
     semantic[is_ground] = Semantic.GROUND
@@ -243,6 +252,9 @@ def _classify(
     core |= thick_walls(xyz, height, rest & ~core & rough, config.buildings)
     below, apart = within_roofs(xyz, core, features, rest, config.buildings)
     is_building = attach_parts(xyz, core | below, rest & ~apart, foliage, config.buildings)
+    facade = core & (np.abs(features.normals[:, 2]) < config.buildings.facade_slope)
+    interior = inside_facades(xyz, height, facade, rest & ~is_building, sensor)
+    is_building |= interior
     semantic[is_building] = Semantic.BUILDING
     rest &= ~is_building
     rest &= ~thin_runs(xyz, height, features.roughness, rest & ~foliage, config.buildings)
@@ -255,7 +267,7 @@ def _classify(
     level = np.abs(features.normals[:, 2]) > config.level
     semantic = release_false_vehicles(xyz, height, foliage, semantic, moving, level, config.vehicles)
     semantic = with_edges(xyz, height, semantic, moving, config.vehicles)
-    return semantic, moving
+    return semantic, moving, interior & (semantic == Semantic.BUILDING)
 
 
 def _reach(features: Features, config: SemanticsConfig) -> Floats:

@@ -129,7 +129,7 @@ def segment(
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     """Return the class and the instance (N,) of every point.
 
-    The instance is -1 for ground, trails of moving objects, and fragments. Ids count from 0 by class and then
+    The instance is -1 for ground, trails of moving objects, interiors of buildings, and fragments. Ids count from 0 by class and then
     from the south-west, so that they do not depend on the order of the points.
     """
     semantic_of, tall = result.semantic.copy(), result.height_above_ground.astype(np.float64)
@@ -143,7 +143,7 @@ def segment(
     }
     following = 0
     for position, (semantic, function) in enumerate(split.items()):
-        members = np.flatnonzero((result.semantic == semantic) & ~result.moving)
+        members = np.flatnonzero((result.semantic == semantic) & ~(result.moving | result.interior))
         if len(members) == 0:
             continue
         xyz, height = cloud.xyz[members], tall[members]

@@ -428,6 +428,8 @@ class Epochs:
             inputs |= {alias.replace(side.epoch, ALONE, 1): key for alias, key in beams.items()}
             trails = self.trails[side.epoch]
             inputs |= {f"trails/{n}": trails[n] for n in (name, *neighbours(name, own)) if n in trails}
+            if f"path/{side.epoch}" in self.paths:
+                inputs["path"] = self.paths[f"path/{side.epoch}"]
             tasks.append(Task("semantics", name, prepare_tile, inputs, params))
         return tasks
 

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.geometry import estimate_normals
+from subiaco_change.decisions.driven_lane import SurveyPath
 from subiaco_change.given_classes import UNGIVEN
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.objects.measures import MeasureConfig
+from subiaco_change.segmentation.building_interiors import LOOKED_FROM, SENSOR_STEP
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.instances import InstanceConfig
@@ -23,6 +25,7 @@ from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.free_space.expected_visibility import sample_poses
 from subiaco_geo.tiles import Tile, tile_named
 from subiaco_geo.work.tasks import Inputs
 
@@ -165,7 +168,10 @@ def _label(
     upright = cloud if turn is None else PointCloud(cloud.xyz @ turn.T, cloud.origin)
     passed, moved = beams
     raised = find_raised(wide if turn is None else wide @ turn.T, config.semantics.raised)
-    result = label_points(upright, config.semantics, passed, raised, moved)
+    sensor = _sensor(inputs, cloud)
+    result = label_points(
+        upright, config.semantics, passed, raised, moved, sensor if turn is None else sensor @ turn.T
+    )
     semantic = result.semantic
     score = np.take_along_axis(result.scores, semantic[:, None].astype(np.int64), axis=1)[:, 0]
     if "semantic" in params.given:
@@ -173,13 +179,23 @@ def _label(
         own = given == UNGIVEN
         semantic = np.where(own, semantic, given)
         score = np.where(own, score, np.float32(1.0))
-        result = replace(result, semantic=semantic, moving=result.moving & own)
+        result = replace(result, semantic=semantic, moving=result.moving & own, interior=result.interior & own)
     if "instance" in params.given:
         instance = _given("instance", inputs, params.tile, names, where).astype(np.int32)
     else:
         found = Classified(cloud, upright, result, config.instances, config.measures.voxel)
         semantic, instance = strategy.instances(found)
     return semantic, strategy.kept(instance), score.astype(np.float32), result.height_above_ground
+
+
+def _sensor(inputs: Inputs, cloud: PointCloud) -> Floats:
+    """Return places of the sensor (K, 3) around a cloud, in its frame [m]; none without a survey path."""
+    path = inputs.find(SurveyPath, "path")
+    if path is None or len(cloud) == 0:
+        return np.zeros((0, 3))
+    places = path.positions[sample_poses(path.positions, SENSOR_STEP)] - cloud.origin
+    low, high = cloud.xyz[:, :2].min(axis=0) - LOOKED_FROM, cloud.xyz[:, :2].max(axis=0) + LOOKED_FROM
+    return np.asarray(places[((places[:, :2] > low) & (places[:, :2] < high)).all(axis=1)])
 
 
 def _given(field: str, inputs: Inputs, tile: str, names: list[str], where: list[Ints]) -> NDArray[np.generic]:
