@@ -60,7 +60,10 @@ def inside_facades(xyz: Floats, height: Floats, facade: Mask, free: Mask, sensor
     walls = np.zeros(shape, dtype=np.int64)
     bits = np.left_shift(np.int64(1), cell[tall, 2])
     np.bitwise_or.at(walls, tuple(cell[tall, :2].T), bits)
-    walls |= (walls << 1) | (walls >> 1)  # openings are lower than a storey
+    highest = np.zeros(shape, dtype=np.int64)
+    np.maximum.at(highest, tuple(cell[tall, :2].T), cell[tall, 2])
+    # openings are lower than a storey, and above the top of a wall is the sky
+    walls |= ((walls << 1) | (walls >> 1)) & ((np.int64(2) << highest) - 1)
     key = (cell[some, 0] * shape[1] + cell[some, 1]) * _LEVELS + cell[some, 2]
     places, place = np.unique(key, return_inverse=True)
     column, level = np.divmod(places, _LEVELS)
