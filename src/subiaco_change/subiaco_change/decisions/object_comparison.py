@@ -15,6 +15,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.hanging_parts import join_hanging_parts
+from subiaco_change.decisions.hedges_in_line import join_hedges_in_line
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.split_merge import (
     assign_fragments,
@@ -87,7 +88,7 @@ def compare_objects(
     changes.extend(decide_object((), (t,), t.semantic, rules) for t in objects_after if t.is_part)
     changes = split_multi_body_matches(part_hardly_overlapping(changes, rules), rules)
     changes = split_row_houses(join_building_extensions(changes, rules), rules)
-    changes = split_hedge_segments(changes, rules)
+    changes = join_hedges_in_line(split_hedge_segments(changes, rules), rules)
     changes = join_hidden_walls(changes, rules)
     changes = assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
     return join_hanging_parts(changes)

@@ -11,6 +11,7 @@ from subiaco_change.method_numbers.association_numbers import (
     CostsNumbers,
     FelledCrownsNumbers,
     HedgeSectionsNumbers,
+    HedgesInLineNumbers,
     MergedInstancesNumbers,
     OneEpochPartsNumbers,
     PlacesSeenFreeNumbers,
@@ -110,6 +111,7 @@ class MethodNumbers(StrictModel):
     costs: CostsNumbers = CostsNumbers()
     felled_crowns: FelledCrownsNumbers = FelledCrownsNumbers()
     hedge_sections: HedgeSectionsNumbers = HedgeSectionsNumbers()
+    hedges_in_line: HedgesInLineNumbers = HedgesInLineNumbers()
     merged_instances: MergedInstancesNumbers = MergedInstancesNumbers()
     one_epoch_parts: OneEpochPartsNumbers = OneEpochPartsNumbers()
     places_seen_free: PlacesSeenFreeNumbers = PlacesSeenFreeNumbers()

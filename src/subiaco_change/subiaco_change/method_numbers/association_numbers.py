@@ -189,6 +189,24 @@ class HedgeSectionsNumbers(StrictModel):
     )
 
 
+class HedgesInLineNumbers(StrictModel):
+    """Numbers of ``decisions/hedges_in_line.py``."""
+
+    beneath: float = Field(
+        0.5, description="Distance in plan up to which a point belongs to what grows beneath a piece [m]"
+    )
+    reach: float = Field(
+        3.0, description="Distance from a piece of a hedge within which the hedge beside it is looked at [m]"
+    )
+    voxels: int = Field(12, description="Number of voxels that the hedge beside a piece needs")
+    largest_height: float = Field(3.0, description="Largest height of a hedge [m]")
+    top: float = Field(0.08, description="Largest difference of the heights of two pieces of one hedge [m]")
+    slender: float = Field(
+        0.4, description="Largest ratio of the breadth of a hedge to its length, with the piece"
+    )
+    longer: float = Field(1.0, description="Length by which a piece must extend the hedge beside it [m]")
+
+
 class MergedInstancesNumbers(StrictModel):
     """Numbers of ``instance_splitting/merged_instances.py``."""
 

@@ -468,6 +468,21 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "hedges_in_line",
+        _HERE,
+        "A piece of one epoch that continues a hedge in its line, as high and as wide, is no plant of its own: the"
+        " hedge was shortened or extended.",
+        (
+            "method_numbers.hedges_in_line.beneath",
+            "method_numbers.hedges_in_line.reach",
+            "method_numbers.hedges_in_line.voxels",
+            "method_numbers.hedges_in_line.largest_height",
+            "method_numbers.hedges_in_line.top",
+            "method_numbers.hedges_in_line.slender",
+            "method_numbers.hedges_in_line.longer",
+        ),
+    ),
+    Rule(
         "hedge_sections",
         _HERE,
         "A section of a hedge whose tops moved is a row of its own.",
