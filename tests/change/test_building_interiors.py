@@ -60,13 +60,15 @@ def test_a_low_garden_wall_hides_no_interior() -> None:
 def test_without_a_survey_path_nothing_is_decided() -> None:
     inside = scatter((2, 9.5, 0.3), (10, 14, 2.4), 400, 1)
     assert not decide(inside, facade(), np.zeros((0, 3))).any()
-    far = SENSOR + (500.0, 0.0, 0.0)
+    far = SENSOR + np.array([500.0, 0.0, 0.0])
     assert not decide(inside, facade(), far).any()
 
 
 def test_points_behind_windows_are_building_and_of_no_object() -> None:
     rng = np.random.default_rng(4)
-    ground = np.column_stack([rng.uniform(-10, 22, 6000), rng.uniform(-6, 7.9, 6000), rng.normal(0, 0.01, 6000)])
+    ground = np.column_stack(
+        [rng.uniform(-10, 22, 6000), rng.uniform(-6, 7.9, 6000), rng.normal(0, 0.01, 6000)]
+    )
     walls = facade() + rng.normal(0, 0.005, facade().shape)
     inside = scatter((1, 9.2, 0.4), (11, 14, 2.5), 2500, 5)
     cloud = PointCloud(np.concatenate([ground, walls, inside]), np.zeros(3))
@@ -94,9 +96,8 @@ def test_the_label_of_an_interior_is_that_of_its_house() -> None:
 
     def nothing(places: np.ndarray) -> np.ndarray:
         return np.zeros(len(places), dtype=bool)
-    joined = label_rest(
-        view, labels, None, (), nothing, EvidenceConfig(), np.zeros((0, 3)), nothing, 0.5
-    )
+
+    joined = label_rest(view, labels, None, (), nothing, EvidenceConfig(), np.zeros((0, 3)), nothing, 0.5)
     assert np.all(labels.change[house:-1] == Change.REMOVED)
     assert np.all(labels.instance[house:-1] == 7)
     assert labels.instance[-1] == -1  # 48 m from the house

@@ -1,4 +1,4 @@
-"""Clouds of returns alone: which beams met nothing is told by the places that their rings lack."""
+"""Clouds of returns alone: the places that their rings lack show which beams met nothing."""
 
 from pathlib import Path
 

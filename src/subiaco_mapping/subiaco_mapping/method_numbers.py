@@ -364,10 +364,10 @@ class PreprocessingNumbers(StrictModel):
         description="Fewest and most rings of a cloud whose missing beams are searched for the sky",
     )
     cloud_columns: tuple[int, int] = Field(
-        (180, 4096), description="Fewest and most columns of a turn that are assumed of such a cloud"
+        (180, 4096), description="Fewest and most columns that are assumed of a turn of a cloud"
     )
     ring_spread_deg: float = Field(
-        0.3, description="Largest standard deviation of the elevations of one ring of such a cloud [deg]"
+        0.3, description="Largest standard deviation of the elevations of one ring of a turning scanner [deg]"
     )
     ring_nearest: float = Field(
         3.0, description="Range below which returns tell no elevation, for their beams begin apart [m]"

@@ -49,7 +49,7 @@ def join_hedges_in_line(changes: list[ObjectChange], rules: ObjectRules) -> list
 
 
 def _joined(host: ObjectChange, piece: ObjectChange, rules: ObjectRules) -> ObjectChange | None:
-    """Return the row of a hedge with a piece; None where the piece is too small, or the rest did the opposite."""
+    """Return the row of a hedge with a piece; None where that is too small, or the rest did the opposite."""
     epoch = 0 if piece.before else 1
     change = (Change.DECREASED, Change.INCREASED)[epoch]
     before, after = (*host.before, *piece.before), (*host.after, *piece.after)

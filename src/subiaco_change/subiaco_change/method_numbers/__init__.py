@@ -62,9 +62,9 @@ from subiaco_change.method_numbers.registration_numbers import (
     WarpNumbers,
 )
 from subiaco_change.method_numbers.segmentation_numbers import (
+    BuildingInteriorsNumbers,
     InstancesNumbers,
     RaisedGroundNumbers,
-    BuildingInteriorsNumbers,
     RoofStructuresNumbers,
     SpacingNumbers,
     SparseNumbers,

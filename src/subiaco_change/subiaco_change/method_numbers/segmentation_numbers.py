@@ -46,9 +46,7 @@ class BuildingInteriorsNumbers(StrictModel):
     hidden: float = Field(
         0.9, description="Fraction of the places of the sensor from which a point behind walls is hidden"
     )
-    lowest_wall: float = Field(
-        2.2, description="Smallest height of a wall of a building, that of a room [m]"
-    )
+    lowest_wall: float = Field(2.2, description="Smallest height of a wall of a building, that of a room [m]")
 
 
 class RaisedGroundNumbers(StrictModel):

@@ -470,8 +470,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "hedges_in_line",
         _HERE,
-        "A piece of one epoch that continues a hedge in its line, as high and as wide, is no plant of its own: the"
-        " hedge was shortened or extended.",
+        "A piece of one epoch that continues a hedge in its line, as high and as wide, is no plant of its"
+        " own: the hedge was shortened or extended.",
         (
             "method_numbers.hedges_in_line.beneath",
             "method_numbers.hedges_in_line.reach",
@@ -531,6 +531,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         " volume of a building, and no extension.",
         (
             "method_numbers.layers.depth",
+            "method_numbers.layers.front",
             "method_numbers.layers.ahead",
             "method_numbers.layers.wall_normal",
             "method_numbers.layers.share",

@@ -40,7 +40,8 @@ def before_walls(places: Floats, voxels: Voxels, outside: Empty | None = None) -
     voxels : Voxels
         Of a building in one epoch, and which of them the other epoch has too.
     outside : callable, optional
-        Tells which places (N, 3) the epoch of the voxels saw free, outside the building; None: both sides count.
+        Tells which places (N, 3) the epoch of the voxels saw free, outside the building; None: both sides
+        count.
 
     Returns
     -------

@@ -223,7 +223,7 @@ def _classify(
     sensor: Floats,
     config: SemanticsConfig,
 ) -> tuple[NDArray[np.uint8], Mask, Mask]:
-    """Apply the classes in the order of their priority; the rest is *other*. Tell trails and interiors too."""
+    """Apply the classes in the order of their priority; the rest is *other*. Tell trails, interiors too."""
     semantic = np.full(len(xyz), Semantic.OTHER, dtype=np.uint8)
     is_ground = _find_ground(xyz, height, features, parts, ground, config)
     semantic[is_ground] = Semantic.GROUND
@@ -244,25 +244,20 @@ def _classify(
     trucks, shelters = free_boxes(
         xyz, height, planes.core & rest, (planes.part >= 0) & rest, body, rest, config.vehicles
     )
-    trucks &= rest
-    semantic[trucks] = Semantic.MOBILE
+    semantic[trucks & rest] = Semantic.MOBILE
     rest &= ~(trucks | shelters)
     core = join_parts(xyz, planes, rest, config.buildings)
-    rough = foliage | (features.roughness > config.buildings.plane_offset)
-    core |= thick_walls(xyz, height, rest & ~core & rough, config.buildings)
+    smooth = features.roughness < config.buildings.plane_offset
+    core |= thick_walls(xyz, height, rest & ~core & (foliage | ~smooth), config.buildings)
     below, apart = within_roofs(xyz, core, features, rest, config.buildings)
     is_building = attach_parts(xyz, core | below, rest & ~apart, foliage, config.buildings)
-    facade = core & (np.abs(features.normals[:, 2]) < config.buildings.facade_slope)
-    interior = inside_facades(xyz, height, facade, rest & ~is_building, sensor)
-    is_building |= interior
-    semantic[is_building] = Semantic.BUILDING
-    rest &= ~is_building
+    steep = np.abs(features.normals[:, 2]) < config.buildings.facade_slope
+    interior = inside_facades(xyz, height, core & steep, rest & ~is_building, sensor)
+    semantic[is_building | interior] = Semantic.BUILDING
+    rest &= ~(is_building | interior)
     rest &= ~thin_runs(xyz, height, features.roughness, rest & ~foliage, config.buildings)
-    upright = (np.abs(features.normals[:, 2]) < config.buildings.facade_slope) & (
-        features.roughness < config.buildings.plane_offset
-    )
     semantic[rest] = _split_rest(
-        xyz[rest], height[rest], foliage[rest], upright[rest], planes.low[rest], config
+        xyz[rest], height[rest], foliage[rest], (steep & smooth)[rest], planes.low[rest], config
     )
     level = np.abs(features.normals[:, 2]) > config.level
     semantic = release_false_vehicles(xyz, height, foliage, semantic, moving, level, config.vehicles)

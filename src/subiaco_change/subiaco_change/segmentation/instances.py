@@ -129,8 +129,8 @@ def segment(
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     """Return the class and the instance (N,) of every point.
 
-    The instance is -1 for ground, trails of moving objects, interiors of buildings, and fragments. Ids count from 0 by class and then
-    from the south-west, so that they do not depend on the order of the points.
+    The instance is -1 for ground, trails of moving objects, interiors of buildings, and fragments. Ids count
+    from 0 by class and then from the south-west, so that they do not depend on the order of the points.
     """
     semantic_of, tall = result.semantic.copy(), result.height_above_ground.astype(np.float64)
     instance = np.full(len(cloud), -1, dtype=np.int64)

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.geometry import estimate_normals
 from subiaco_change.decisions.driven_lane import SurveyPath
+from subiaco_change.geometry import estimate_normals
 from subiaco_change.given_classes import UNGIVEN
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.objects.measures import MeasureConfig
@@ -179,7 +179,9 @@ def _label(
         own = given == UNGIVEN
         semantic = np.where(own, semantic, given)
         score = np.where(own, score, np.float32(1.0))
-        result = replace(result, semantic=semantic, moving=result.moving & own, interior=result.interior & own)
+        result = replace(
+            result, semantic=semantic, moving=result.moving & own, interior=result.interior & own
+        )
     if "instance" in params.given:
         instance = _given("instance", inputs, params.tile, names, where).astype(np.int32)
     else:

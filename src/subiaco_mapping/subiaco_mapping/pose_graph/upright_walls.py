@@ -126,8 +126,6 @@ def _levelled(up: Floats, first: Floats, normal: Floats, lean: Floats, weight: F
     across = np.linalg.svd(up[None])[2][1:]
     design = normal @ across.T
     information = (design * weight[:, None]).T @ design + np.eye(2) * _GUESS_WEIGHT
-    step = np.linalg.solve(
-        information, _GUESS_WEIGHT * across @ (first - up) - design.T @ (weight * lean)
-    )
+    step = np.linalg.solve(information, _GUESS_WEIGHT * across @ (first - up) - design.T @ (weight * lean))
     turned = up + step @ across
     return np.asarray(turned / np.linalg.norm(turned))

@@ -38,7 +38,7 @@ class SkyOfClouds:
         Parameters
         ----------
         xyz : (N, 3) float64
-            All returns of a cloud, in ``lidar_link`` at their own times, those too near or too far included [m].
+            All returns of a cloud, in ``lidar_link`` at their own times, those too near or far too [m].
         times_ns : (N,) int64
         ring : (N,) uint16
         sky_range : float
