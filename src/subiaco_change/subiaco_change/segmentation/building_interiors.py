@@ -69,31 +69,39 @@ def inside_facades(xyz: Floats, height: Floats, facade: Mask, free: Mask, sensor
     column, level = np.divmod(places, _LEVELS)
     start = np.column_stack([*np.divmod(column, shape[1]), level]) + 0.5
     eyes = (sensor - low) / (_CELL, _CELL, 1.0)
-    hidden, looked = _hidden(start, eyes, walls, LOOKED_FROM / _CELL, round(_NEAR / _CELL))
-    found[some] = ((looked > 0) & (hidden >= _HIDDEN * looked))[place]
+    hidden = _are_hidden(start, eyes, walls, LOOKED_FROM / _CELL, round(_NEAR / _CELL), 1.0 - _HIDDEN)
+    found[some] = hidden[place]
     return found
 
 
 @numba.njit(cache=True)
-def _hidden(start: Floats, eyes: Floats, walls: Ints, sight: float, near: int) -> tuple[Ints, Ints]:
-    """Count for each place (P, 3) the sensor places (K, 3) behind a wall, and all within sight, in cells."""
-    hidden = np.zeros(len(start), np.int64)
-    looked = np.zeros(len(start), np.int64)
+def _are_hidden(start: Floats, eyes: Floats, walls: Ints, sight: float, near: int, most: float) -> Mask:
+    """Tell which places (P, 3) at most a share of the eyes (K, 3) within sight see past walls, all in cells."""
+    hidden = np.zeros(len(start), np.bool_)
+    far = np.empty(len(eyes))
     for p in range(len(start)):
+        looked = 0
         for k in range(len(eyes)):
-            dx, dy = eyes[k, 0] - start[p, 0], eyes[k, 1] - start[p, 1]
-            far = np.sqrt(dx * dx + dy * dy)
-            if far > sight or far < 1.0:
-                continue
-            looked[p] += 1
-            rise = (eyes[k, 2] - start[p, 2]) / far
-            for step in range(near, int(far)):
-                i = int(np.floor(start[p, 0] + dx / far * step))
-                j = int(np.floor(start[p, 1] + dy / far * step))
-                if i < 0 or j < 0 or i >= walls.shape[0] or j >= walls.shape[1]:
-                    continue
-                level = int(np.floor(start[p, 2] + rise * step))
-                if 0 <= level < 62 and (walls[i, j] >> level) & 1:
-                    hidden[p] += 1
-                    break
-    return hidden, looked
+            far[k] = np.hypot(eyes[k, 0] - start[p, 0], eyes[k, 1] - start[p, 1])
+            looked += 1.0 <= far[k] <= sight
+        left = int(np.floor(most * looked + 1e-9))
+        for k in range(len(eyes)):
+            if left < 0:
+                break
+            if 1.0 <= far[k] <= sight and not _is_behind(start[p], eyes[k], far[k], walls, near):
+                left -= 1
+        hidden[p] = looked > 0 and left >= 0
+    return hidden
+
+
+@numba.njit(cache=True)
+def _is_behind(place: Floats, eye: Floats, far: float, walls: Ints, near: int) -> bool:
+    """Tell whether a wall stands between a place (3,) and an eye (3,)."""
+    step = (eye - place) / far
+    for number in range(near, int(far)):
+        i, j = int(np.floor(place[0] + step[0] * number)), int(np.floor(place[1] + step[1] * number))
+        level = int(np.floor(place[2] + step[2] * number))
+        inside = 0 <= i < walls.shape[0] and 0 <= j < walls.shape[1] and 0 <= level < 62
+        if inside and (walls[i, j] >> level) & 1:
+            return True
+    return False
