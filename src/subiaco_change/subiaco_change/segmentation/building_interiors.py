@@ -76,7 +76,7 @@ def inside_facades(xyz: Floats, height: Floats, facade: Mask, free: Mask, sensor
 
 @numba.njit(cache=True)
 def _are_hidden(start: Floats, eyes: Floats, walls: Ints, sight: float, near: int, most: float) -> Mask:
-    """Tell which places (P, 3) at most a share of the eyes (K, 3) within sight see past walls, all in cells."""
+    """Tell which places (P, 3) at most a share of the eyes (K, 3) in sight see past walls, all in cells."""
     hidden = np.zeros(len(start), np.bool_)
     far = np.empty(len(eyes))
     for p in range(len(start)):
