@@ -1,6 +1,7 @@
 """The vertical from an accelerometer with a bias, and from walls."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,11 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from subiaco_geo.frames import make_pose
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.measurements import Extrinsics, OdometryPose
 from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.incremental import LiveGraph
 from subiaco_mapping.pose_graph.records import Chain, GnssPriors, GravityPriors, WallPriors
 from subiaco_mapping.pose_graph.solver import solve
 from subiaco_mapping.pose_graph.upright_walls import WallPieces, wall_pieces, wall_priors
+from subiaco_mapping.sequences import SequenceRecord
+from subiaco_mapping.survey_graph.sequence_chains import chain_of
 
 SECOND = 10**9
 UP = np.array([0.0, 0.0, 1.0])
@@ -148,3 +154,21 @@ def test_a_bias_shows_where_the_drive_turns() -> None:
     found = solve({0: turned}, GraphConfig(), GnssConfig()).chains[0]
     assert abs(roll(found.T_world_lidar)) < 0.002
     assert np.sqrt(found.covariance[50, 0, 0]) < 0.003
+
+
+@pytest.mark.parametrize("accelerometer", [False, True])
+def test_walls_level_no_local_map_whose_vertical_is_that_of_its_first_scan(accelerometer: bool) -> None:
+    """Held at both ends, by the anchor and by walls that lean in its frame, a local map would be twisted."""
+    poses = [
+        OdometryPose(
+            k * SECOND // 10, make_pose(np.eye(3), [0.5 * k, 0.0, 0.0]), np.eye(6) * 1e-6, 500, 0.02, False, 0
+        )
+        for k in range(30)
+    ]
+    record = SequenceRecord("drive", Extrinsics(np.eye(4), None, None), spool=SimpleNamespace())
+    record.poses = poses
+    record.accel = [np.array([0.0, 0.0, 9.8]) if accelerometer else np.full(3, np.nan)] * len(poses)
+    walls = wall_pieces(facade(8.0, 24.0, 7, lean=0.03))
+    record.submaps = SimpleNamespace(done=[SimpleNamespace(anchor=15, wall_pieces=walls)])
+    chain = chain_of(record, None, MappingConfig(), placed=True)
+    assert chain.walls.root.any() == accelerometer

@@ -79,6 +79,10 @@ class WallPriors:
     root: Floats
 
 
+#: Of a recording whose vertical is that of its first scan, which no wall has to agree with.
+NO_WALLS = WallPriors(np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)))
+
+
 @dataclass(frozen=True)
 class Chain:
     """One sequence of scans for the graph.
@@ -112,9 +116,7 @@ class Chain:
     gnss: GnssPriors | None = None
     heading: HeadingPriors | None = None
     anchored: bool = False
-    walls: WallPriors = field(
-        default_factory=lambda: WallPriors(np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)))
-    )
+    walls: WallPriors = NO_WALLS
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

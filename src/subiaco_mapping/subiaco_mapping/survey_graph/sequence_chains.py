@@ -15,7 +15,14 @@ from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph import gnss
 from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.pose_graph.gravity import gravity_priors
-from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors, HeadingPriors, WallPriors
+from subiaco_mapping.pose_graph.records import (
+    NO_WALLS,
+    Chain,
+    ChainSolution,
+    GnssPriors,
+    HeadingPriors,
+    WallPriors,
+)
 from subiaco_mapping.pose_graph.upright_walls import wall_priors
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.survey_graph.solution import SequenceSolution
@@ -110,7 +117,7 @@ def chain_of(
         gnss=priors,
         heading=heading,
         anchored=frame is None and placed,
-        walls=_walls_of(sequence, poses, up_odom, config),
+        walls=_walls_of(sequence, poses, up_odom, config) if len(ups) or frame is not None else NO_WALLS,
     )
 
 
