@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -41,29 +40,30 @@ def join_hedges_in_line(changes: list[ObjectChange], rules: ObjectRules) -> list
         host = next((i for i in hosts if _continues(bodies[piece], bodies[i])), None)
         if host is None:
             continue
-        joined = _joined(told[host], told[piece], rules)
+        joined = _joined(told[host], told[piece], bodies[piece], rules)
         if joined is not None:
             told[host] = joined
             gone.add(piece)
     return [change for number, change in enumerate(told) if number not in gone]
 
 
-def _joined(host: ObjectChange, piece: ObjectChange, rules: ObjectRules) -> ObjectChange | None:
+def _joined(host: ObjectChange, piece: ObjectChange, body: Voxels, rules: ObjectRules) -> ObjectChange | None:
     """Return the row of a hedge with a piece; None where that is too small, or the rest did the opposite."""
-    epoch = 0 if piece.before else 1
-    change = (Change.DECREASED, Change.INCREASED)[epoch]
     before, after = (*host.before, *piece.before), (*host.after, *piece.after)
-    length = box_sides(join_voxels((*piece.before, *piece.after)).xyz[:, :2])[0]
-    own = join_voxels((before, after)[epoch])
-    share = sum(len(t.voxels) for t in (*piece.before, *piece.after)) / len(own)
+    change, whole, lost, shrank = (
+        (Change.DECREASED, before, "lost", "shrank")
+        if piece.before
+        else (Change.INCREASED, after, "gained", "grew")
+    )
+    share = len(body) / sum(len(t.voxels) for t in whole)
     limit = rules.decisions.vegetation.surface
     if host.decision.change not in (Change.UNCHANGED, change) or share < limit:
         return None
     found = decide_object(before, after, Semantic.VEGETATION, rules)
-    word = "lost" if epoch == 0 else "gained"
+    length = box_sides(body.xyz[:, :2])[0]
     reason = (
-        f"Hedge: it {word} {length:.1f} m of its length, {100 * share:.0f} % of its surface (limit "
-        f"{100 * limit:.0f} %): the plant {'shrank' if epoch == 0 else 'grew'}."
+        f"Hedge: it {lost} {length:.1f} m of its length, {100 * share:.0f} % of its surface (limit "
+        f"{100 * limit:.0f} %): the plant {shrank}."
     )
     decision = replace(piece.decision, change=change, reason=reason)
     return replace(found, decision=decision, plant=None)
@@ -93,11 +93,7 @@ def _continues(piece: Voxels, host: Voxels) -> bool:
     if max(tops) > _HEDGE or abs(tops[0] - tops[1]) > _SAME_TOP:
         return False
     own, other, joint = (
-        box_sides(xy) for xy in (piece.xyz[:, :2], beside.xyz[:, :2], _places((piece, beside)))
+        box_sides(voxels.xyz[:, :2]) for voxels in (piece, beside, Voxels.joined([piece, beside]))
     )
     narrow = joint[1] <= min(max(own[1], other[1]) + _CELL, _SLENDER * joint[0])
     return narrow and joint[0] >= max(own[0], other[0]) + _LONGER
-
-
-def _places(parts: Sequence[Voxels]) -> np.ndarray:
-    return np.concatenate([part.xyz[:, :2] for part in parts])

@@ -98,19 +98,20 @@ def _join_interiors(view: EpochView, labels: PointLabels, loose: Ints) -> Ints:
     """
     members = loose[(labels.instance[loose] < 0) & (view.semantic[loose] == Semantic.BUILDING)]
     hosts = np.flatnonzero((labels.instance >= 0) & (labels.semantic == Semantic.BUILDING))
-    nearest = touching(view.xyz[members], view.xyz[hosts], _INTERIOR)
-    inside, host = members[nearest >= 0], hosts[nearest[nearest >= 0]]
-    for field in (labels.change, labels.instance, labels.confidence):
-        field[inside] = field[host]
-    return np.asarray(inside)
+    return _join_nearest(view.xyz, labels, members, hosts, _INTERIOR)
 
 
 def _join_fragments(xyz: Floats, labels: PointLabels, fragments: Ints, touch: float) -> Ints:
     """Give points of no object the label of the changed object they touch; return those that touch one."""
     changed = np.isin(labels.change, CHANGED)
     hosts = np.flatnonzero((labels.instance >= 0) & changed)
-    nearest = touching(xyz[fragments], xyz[hosts], touch)
-    joined, host = fragments[nearest >= 0], hosts[nearest[nearest >= 0]]
+    return _join_nearest(xyz, labels, fragments, hosts, touch)
+
+
+def _join_nearest(xyz: Floats, labels: PointLabels, points: Ints, hosts: Ints, reach: float) -> Ints:
+    """Give points (K,) the label of the nearest host (H,) within reach [m]; return those that have one."""
+    nearest = touching(xyz[points], xyz[hosts], reach)
+    joined, host = points[nearest >= 0], hosts[nearest[nearest >= 0]]
     for field in (labels.change, labels.semantic, labels.instance, labels.confidence):
         field[joined] = field[host]
     return np.asarray(joined)

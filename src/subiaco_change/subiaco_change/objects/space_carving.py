@@ -128,6 +128,12 @@ class _Frame:
         """Columns (N, 2) of places (N, 2)."""
         return np.floor((xy @ self.turn.T - self.corner) / self.cell).astype(np.int64)
 
+    def cells(self, places: Floats) -> tuple[Ints, Ints, Ints]:
+        """Cells that hold places (N, 3), or are the nearest to those outside, as indices of an array."""
+        i, j = np.clip(self.slots(places[:, :2]), 0, np.array(self.shape[:2]) - 1).T
+        level = np.floor((places[:, 2] - self.foot[i, j]) / self.rise).astype(np.int64)
+        return i, j, np.clip(level, 0, self.shape[2] - 1)
+
     def middles(self) -> Floats:
         """Middles (nx * ny, 2) of the columns [m]."""
         return _middles(self.corner, self.turn, self.shape, self.cell)
@@ -447,10 +453,7 @@ def _without_layers(changed: Cells, old: Voxels, free: Cells, frame: _Frame) -> 
     places = np.column_stack([frame.middles()[column], height])
 
     def outside(fronts: Floats) -> Mask:
-        ground = old.ground_near(fronts[:, :2])
-        slot = np.column_stack([frame.slots(fronts[:, :2]), (fronts[:, 2] - ground) / frame.rise])
-        cell = np.clip(slot.astype(np.int64), 0, np.array(frame.shape) - 1)
-        return np.asarray(free[tuple(cell.T)])
+        return np.asarray(free[frame.cells(fronts)])
 
     layer = before_walls(places, old, outside)
     part = number[changed]

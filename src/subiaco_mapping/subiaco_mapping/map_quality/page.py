@@ -13,6 +13,7 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.manifest import LEGEND
 from subiaco_mapping.map_quality import plots as drawing
 from subiaco_mapping.map_quality.figures import Assessment, assess
+from subiaco_mapping.map_quality.time_series import BESIDE
 from subiaco_mapping.map_quality.verdict import amount
 from subiaco_mapping.survey_graph.solution import GraphSolution
 
@@ -52,5 +53,5 @@ def render(found: Assessment, solution: GraphSolution, config: MappingConfig) ->
         for name, png in drawing.pictures(found, solution).items()
     }
     return environment.get_template("quality.html.j2").render(
-        facts=found.facts, pictures=pictures, legend=LEGEND, quality=config.quality
+        facts=found.facts, pictures=pictures, legend=LEGEND, quality=config.quality, beside=BESIDE
     )

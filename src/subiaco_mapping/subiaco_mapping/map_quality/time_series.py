@@ -14,7 +14,7 @@ from subiaco_mapping.survey_graph.solution import GraphSolution, SequenceSolutio
 
 #: Distance from the vehicle at which the uncertainty of heights is told: that of facades and gardens [m].
 BESIDE = 20.0
-DIRECTIONS = 16
+_DIRECTIONS = 16
 #: RTK states of a pose: no fix near it, then the states of the fixes.
 STATES = {-1: "no fix", 0: "single", 1: "float", 2: "RTK fixed"}
 
@@ -86,8 +86,8 @@ def _series(solved: SequenceSolution, chain: Chain, projection: Projection, conf
 
 def _sigma_beside(covariance: Floats) -> Floats:
     """Return the largest sigma of height (S,) [m] around poses of covariance (S, 6, 6)."""
-    azimuth = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
-    row = np.zeros((DIRECTIONS, 6))  # of the Jacobian of a point's height
+    azimuth = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
+    row = np.zeros((_DIRECTIONS, 6))  # of the Jacobian of a point's height
     row[:, 0], row[:, 1], row[:, 5] = BESIDE * np.sin(azimuth), -BESIDE * np.cos(azimuth), 1.0
     return np.asarray(np.sqrt(np.einsum("di,sij,dj->sd", row, covariance, row).max(axis=1)))
 

@@ -14,7 +14,7 @@ import numpy as np
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.planes_in_cubes import planes_in_cubes
-from subiaco_mapping.pose_graph.records import WallPriors
+from subiaco_mapping.pose_graph.records import NO_WALLS, WallPriors
 
 _EDGE = NUMBERS.upright_walls.edge
 _FEWEST = NUMBERS.upright_walls.fewest
@@ -52,13 +52,8 @@ def wall_pieces(points: Floats) -> WallPieces:
         planes = planes_in_cubes(points + offset, _EDGE, _FEWEST)
         flat = (planes.thickness < _THICKEST) & (planes.width > _NARROWEST)
         sigma = planes.thickness[flat] / (np.sqrt(planes.count[flat]) * planes.width[flat])
-        found.append(WallPieces(planes.normal[flat], planes.mean[flat] - offset, sigma))
-    first, second = found
-    return WallPieces(
-        np.concatenate([first.normal, second.normal]),
-        np.concatenate([first.mean, second.mean]),
-        np.concatenate([first.sigma, second.sigma]),
-    )
+        found.append((planes.normal[flat], planes.mean[flat] - offset, sigma))
+    return WallPieces(*map(np.concatenate, zip(*found, strict=True)))
 
 
 def wall_priors(
@@ -84,9 +79,8 @@ def wall_priors(
     WallPriors
         One for each submap. All pieces in one plane of a submap count as one wall.
     """
-    roots = np.zeros((len(pieces), 3, 3))
     if len(pieces) == 0:
-        return WallPriors(index, roots)
+        return NO_WALLS
     owner = np.repeat(np.arange(len(pieces)), [len(own.normal) for own in pieces])
     normal = np.concatenate([own.normal for own in pieces])
     in_odom = np.einsum("nij,nj->ni", R_odom_lidar[owner], normal)
@@ -100,12 +94,10 @@ def wall_priors(
         lean = in_odom @ up
         kept = share / (1.0 + (lean / _KERNEL) ** 2)
         up = _levelled(up, up_odom, in_odom, lean, kept)
-    weight = kept / sigma**2
-    for k in range(len(pieces)):
-        own = normal[owner == k]
-        information = np.einsum("n,ni,nj->ij", weight[owner == k], own, own)
-        values, vectors = np.linalg.eigh(information)
-        roots[k] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    information = np.zeros((len(pieces), 3, 3))
+    np.add.at(information, owner, np.einsum("n,ni,nj->nij", kept / sigma**2, normal, normal))
+    values, vectors = np.linalg.eigh(information)
+    roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
     return WallPriors(index, roots)
 
 

@@ -20,6 +20,7 @@ _SPREAD = np.radians(NUMBERS.preprocessing.ring_spread_deg)
 _NEAR = NUMBERS.preprocessing.ring_nearest
 _FEW = NUMBERS.preprocessing.timed_points
 _COLUMNS = NUMBERS.preprocessing.cloud_columns
+_TURN_NS = 100_000_000  # numbers clouds, so that each takes another lattice of beams
 
 
 class SkyOfClouds:
@@ -59,8 +60,8 @@ class SkyOfClouds:
         spread = np.sqrt(np.maximum(squares[known] / count[known] - mean**2, 0.0))
         if len(known) < _FEWEST_RINGS or np.median(spread) > _SPREAD:
             return None
-        order = known[np.argsort(-mean)]
-        elevation = np.sort(mean)[::-1]
+        highest_first = np.argsort(-mean)
+        order, elevation = known[highest_first], mean[highest_first]
         row = np.full(_MOST_RINGS, -1)
         row[order] = np.arange(len(order))
         azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
@@ -85,9 +86,6 @@ class SkyOfClouds:
         own, angle = ring[far], elevation[far]
         for power in range(3):
             self._sums[:, power] += np.bincount(own, angle**power, _MOST_RINGS)
-
-
-_TURN_NS = 100_000_000  # numbers clouds, so that each takes another lattice of beams
 
 
 def _columns(azimuth: Floats) -> int:
