@@ -9,10 +9,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plain_fusion import add_scan, fused_cloud
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from traffic_scene import REGIONS, drive
 
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_keys
+from subiaco_geo.frames import Floats
 from subiaco_mapping.fusion.config import FusionConfig, MovingConfig
 from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above_floor, moved_probability
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
@@ -20,8 +22,13 @@ from subiaco_mapping.fusion.outliers import beam_spacing
 from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator
 from subiaco_mapping.fusion.voxel_tiles import TileRuns, tile_corner, tile_numbers, tiles_around
+from subiaco_mapping.method_numbers import NUMBERS
 
 SEED = 21
+
+
+def nothing_stood(places: Floats) -> NDArray[np.bool_]:
+    return np.zeros(len(places), dtype=np.bool_)
 
 
 def fuse(
@@ -227,9 +234,29 @@ def test_the_rest_of_a_moving_vehicle_is_a_fragment_and_a_car_or_hedge_beside_it
     number = np.repeat(np.arange(4), [len(ground), len(vehicle), len(parked), len(hedge)])
     corner = vehicle[rng.integers(len(vehicle))]
     left = (number == 1) & (np.abs(xyz - corner).max(axis=1) < rng.uniform(0.3, 0.7))
-    shares = fragment_shares(xyz, xyz[:, 2], (number == 1) & ~left, 0.5)
+    shares = fragment_shares(xyz, xyz[:, 2], (number == 1) & ~left, nothing_stood, 0.5)
     high = xyz[:, 2] >= 0.3
     assert shares[left & high].min(initial=1.0) >= 0.8
     assert shares[number != 1].max() < 0.8
     assert not shares[~high].any()
-    assert not fragment_shares(xyz, xyz[:, 2], np.zeros(len(xyz), dtype=np.bool_), 0.5).any()
+    nothing_moved = np.zeros(len(xyz), dtype=np.bool_)
+    assert not fragment_shares(xyz, xyz[:, 2], nothing_moved, nothing_stood, 0.5).any()
+
+
+@pytest.mark.parametrize(("share", "is_fragment"), [(0.2, True), (0.8, False)])
+def test_a_parked_car_of_which_edges_look_as_if_they_moved_is_no_fragment(
+    share: float, is_fragment: bool
+) -> None:
+    rng = np.random.default_rng(SEED)
+    ground, car = box((0, 0, 0), (30, 12, 0.25)), box((10, 4, 0.25), (4.5, 1.75, 1.5))
+    xyz = np.concatenate([ground, car])
+    moved = (np.arange(len(xyz)) >= len(ground)) & (rng.random(len(xyz)) < 0.3)
+    rest = np.flatnonzero((np.arange(len(xyz)) >= len(ground)) & ~moved & (xyz[:, 2] >= 0.3))
+    still = xyz[rest[rng.random(len(rest)) < share]]
+
+    def stood(places: Floats) -> NDArray[np.bool_]:
+        return np.asarray(cKDTree(still).query(places)[0] < 1e-9)
+
+    shares = fragment_shares(xyz, xyz[:, 2], moved, stood, 0.5)[rest]
+    assert (shares >= NUMBERS.fusion.fragment_share).all() == is_fragment
+    assert is_fragment or not shares.any()

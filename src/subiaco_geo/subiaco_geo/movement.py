@@ -157,6 +157,12 @@ def evidence_of_movement(looks: VoxelObservations, config: MovementConfig) -> ND
     return np.where(hits > 0, moves - stands, np.nan).astype(np.float32)
 
 
+def stood(looks: VoxelObservations, config: MovementConfig) -> NDArray[np.bool_]:
+    """Tell in which voxels (M,) something certainly stood: it was hit for long, and hardly ever missed."""
+    lasted = _lasted(looks, config) >= 2 * config.brief
+    return np.asarray(lasted & (evidence_of_movement(looks, config) <= config.standing))
+
+
 def steadied(keys: Ints, looks: VoxelObservations, config: MovementConfig) -> VoxelObservations:
     """Return the looks of voxels (M,) with hits of neighbours that precede or follow without a pause.
 

@@ -120,6 +120,11 @@ class FusionNumbers(StrictModel):
         description="Fraction of the points of a group that must lie beside points of a moving object for "
         "the group to be a fragment of it",
     )
+    fragment_stood: float = Field(
+        0.5,
+        description="Fraction of the points of a group that were hit for long and hardly ever missed, from "
+        "which the group stood and is no fragment",
+    )
     fragment_moved: float = Field(
         0.85,
         description="Least probability that a fragment moved; below `moving.sure` the fragment stays in the "

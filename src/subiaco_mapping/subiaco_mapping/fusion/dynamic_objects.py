@@ -24,6 +24,8 @@ _CELL = NUMBERS.fusion.floor_cell
 _FRAGMENT_FLOOR = NUMBERS.fusion.fragment_floor
 _FRAGMENT_REACH = NUMBERS.fusion.fragment_reach
 _FRAGMENT_LENGTH = NUMBERS.fusion.fragment_length
+_STOOD = NUMBERS.fusion.fragment_stood
+Mask = NDArray[np.bool_]
 
 
 def moved_probability(
@@ -50,13 +52,15 @@ def moved_probability(
 
 
 def fragment_shares(
-    xyz: Floats, above_floor: Floats, moved: NDArray[np.bool_], voxel: float
+    xyz: Floats, above_floor: Floats, moved: Mask, stood: Callable[[Floats], Mask], voxel: float
 ) -> NDArray[np.float32]:
     """Return for every point (N,) which share of its group lies beside points that moved, 0 to 1.
 
     Groups are connected components of the voxels that hold points above the road that did not move. A
-    fragment of a moving vehicle has a share near 1; a wall, a hedge or a parked car beside traffic has not.
-    Groups longer than a vehicle have 0; so the answer does not depend on how much of them a tile holds.
+    fragment of a moving vehicle has a share near 1; a wall or a hedge beside traffic has not. Groups longer
+    than a vehicle have 0; so the answer does not depend on how much of them a tile holds. So have groups most
+    of which stood while they were seen: of a parked car, beams through windows and past its edges make a
+    quarter of the voxels look as if they had moved, and the others lie beside these.
 
     Parameters
     ----------
@@ -66,6 +70,8 @@ def fragment_shares(
         Height above the lowest point around [m].
     moved : (N,) bool
         Points that are removed.
+    stood : callable
+        Tells at which places (M, 3) something stood, by the times of beams.
     voxel : float
         Edge of the voxels that connect points [m].
     """
@@ -81,6 +87,7 @@ def fragment_shares(
     np.minimum.at(low, group, xyz[rest])
     np.minimum.at(high, group, -xyz[rest])
     beside[((-high - low) > _FRAGMENT_LENGTH).any(axis=1)] = 0.0
+    beside[np.bincount(group, stood(xyz[rest])) >= _STOOD * np.bincount(group)] = 0.0
     shares[rest] = beside[group]
     return shares
 

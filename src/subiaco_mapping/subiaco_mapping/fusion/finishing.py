@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from subiaco_geo.clouds import PointCloud, within_box
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, transform_points
-from subiaco_geo.movement import verdicts
+from subiaco_geo.movement import stood, verdicts
 from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED, TimeRecord, VisibilityGrid
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above_floor, moved_probability
@@ -240,6 +240,15 @@ class MapFusion:
         assert found is not None  # the layer was made with times
         return found
 
+    def _stood(self, xyz: Floats) -> NDArray[np.bool_]:
+        """Tell at which places (N, 3) something stood; False where no times are known."""
+        if self._layer.times is None:
+            return np.zeros(len(xyz), dtype=bool)
+        slot, found = self._layer.slots(xyz + self._origin)
+        if not found.any():
+            return found
+        return found & stood(self._layer.times.looks.select(slot), self._config.moving)
+
     def _finish_tile(self, tile: int, threads: int, still: DiskColumns, moving: DiskColumns) -> None:
         """Write what of a tile moved, and what stays with its normals."""
         (xyz, view, reach), found, config = self._around(tile), self._statistics(tile), self._config
@@ -248,7 +257,7 @@ class MapFusion:
         probability = moved_probability(xyz, above, self._moved, config.visibility_voxel)
         probability[above < config.moving.floor] = 0.0
         moved = config.moving.enabled & (np.nan_to_num(probability) >= config.moving.sure)
-        shares = fragment_shares(xyz, above, moved, config.visibility_voxel)
+        shares = fragment_shares(xyz, above, moved, self._stood, config.visibility_voxel)
         fragment = shares >= NUMBERS.fusion.fragment_share
         probability[fragment] = np.fmax(probability[fragment], NUMBERS.fusion.fragment_moved)
         self._fragments.append(xyz[:own][fragment[:own]] + self._origin)
