@@ -144,6 +144,12 @@ class MovableLimits(StrictModel):
         gt=0,
         description="Height above which an object of class other is not movable, but a pole or a sign [m]",
     )
+    height: float = Field(
+        0.25,
+        gt=0,
+        description="Change of the height of a section of a fence or wall beyond which the section is called "
+        "Increased or Decreased [m]. Raise it to claim fewer changes",
+    )
 
 
 class DecisionConfig(StrictModel):

@@ -43,6 +43,12 @@ class GroundChangeConfig(StrictModel):
     area: float = Field(
         25.0, gt=0, description="Contiguous area above which changed ground is reported [m2] (paper)"
     )
+    small_area: float = Field(
+        2.0,
+        gt=0,
+        description="Area above which a smaller patch is reported if it moved as much ground as the "
+        "smallest patch above `area` does at the threshold [m2]",
+    )
     lod_factor: float = Field(
         1.2, gt=0, description="Limit of a ground change as a multiple of the level of detection (paper)"
     )
@@ -113,6 +119,12 @@ class GroundChangeConfig(StrictModel):
         description="Half width of occluded gaps between changed cells that are filled and count towards "
         "the area [cells]; 5 covers a parked car",
     )
+
+
+    @property
+    def volume(self) -> float:
+        """Ground that the smallest and lowest patch above ``area`` moved [m3]."""
+        return self.threshold * self.area
 
 
 @dataclass(frozen=True)

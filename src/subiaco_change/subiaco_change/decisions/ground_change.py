@@ -88,6 +88,7 @@ def find_patches(
         labels, count = ndimage.label(beyond_gate(cells, sign, config), structure=np.ones((3, 3)))
         labels = _to_half_height(labels, count, rise, gate, config)
         large = _possible_sizes(labels, count, cells, config) * config.cell**2 > config.area
+        large |= _moved_as_much(labels, count, rise, config)
         for number in np.flatnonzero(large).tolist():
             where = labels == number
             if _is_interpolated(where, cells, config) or _is_other_surface(where, cells, config):
@@ -98,6 +99,24 @@ def find_patches(
                 patch[where] = len(patches)
                 patches.append(found)
     return patch, tuple(patches)
+
+
+def _none_more(labels: Ints, count: int, *_: object) -> Mask:
+    """Return no patch."""
+    return np.zeros(count + 1, dtype=bool)
+
+
+@switchable("deep_patches", _none_more)
+def _moved_as_much(labels: Ints, count: int, rise: Floats, config: GroundChangeConfig) -> Mask:
+    """Tell which patches (count + 1,), however small, moved as much ground as the least of the large ones.
+
+    A trench of a metre is as much of a change as a road that was raised by a hand's breadth.
+    """
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    moved = np.bincount(labels.ravel(), np.maximum(rise, 0.0).ravel(), minlength=count + 1)
+    moved[0] = 0.0
+    cell = config.cell**2
+    return np.asarray((sizes * cell > config.small_area) & (moved * cell >= config.volume))
 
 
 @switchable("measured_patches", never)
@@ -177,7 +196,7 @@ def _to_half_height(labels: Ints, count: int, rise: Floats, gate: Floats, config
     for number, window in enumerate(ndimage.find_objects(labels, count), start=1):
         around = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in window)
         mine = labels[around] == number
-        if np.count_nonzero(mine) * config.cell**2 < 0.25 * config.area:
+        if np.count_nonzero(mine) * config.cell**2 < config.small_area:
             continue
         half = _EDGE * float(np.median(rise[around][mine & (rise[around] > gate[around])]))
         edge = ndimage.binary_dilation(mine, np.ones((3, 3))) & (grown[around] == 0)
@@ -226,9 +245,11 @@ def _make_patch(
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
     height, spread = float(np.median(values)), float(values.std())
     confidence = patch_confidence(height, level, spread, config.threshold)
+    volume = abs(float(values.sum())) * cell**2
     reason = (
         f"The ground level changed by {height:+z.2f} m (limit {config.threshold:.2f} m, LoD95 {level:.2f} m,"
-        f" standard deviation {spread:.2f} m) over {area:.0f} m² (limit {config.area:.0f} m²): the ground was"
+        f" standard deviation {spread:.2f} m) over {area:.0f} m² and {volume:.1f} m³ (limit {config.area:.0f} m²,"
+        f" or {config.volume:.2f} m³ of a smaller patch): the ground was"
         f" {'raised' if height > 0 else 'lowered'}."
     )
     return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)

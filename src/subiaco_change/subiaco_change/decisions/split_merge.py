@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,8 +13,10 @@ import shapely
 from subiaco_change.association.config import AssociationConfig
 from subiaco_change.association.costs import overlap_counts
 from subiaco_change.association.matching import match_kind
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.plant_decisions import decide_plant
+from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.instance_splitting.building_extensions import (
     find_building_extensions,
@@ -332,7 +335,7 @@ def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
 
 @switchable("hedge_sections", first_argument)
 def split_hedge_segments(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Give the sections of hedges whose tops moved rows of their own, or the whole where nearly all did."""
+    """Give sections of hedges and fences whose tops moved rows of their own, or the whole if nearly all did."""
     if rules.association.parts.points == 0:
         return list(changes)
     following = _first_free(changes)
@@ -345,9 +348,10 @@ def split_hedge_segments(changes: Sequence[ObjectChange], rules: ObjectRules) ->
 
 
 def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[ObjectChange]:
-    if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
+    least = _least_rise(change, rules.decisions)
+    if not math.isfinite(least):
         return [change]
-    limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
+    limit = max(least, rules.decisions.lod_factor * change.lod)
     sections, columns = changed_sections(change.before, change.after, limit, rules.spaces, rules.plants.tops)
     if not sections:
         return [change]
@@ -373,15 +377,42 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     return [*left, *(_of_section(p, s, rules, only=True) for p, s in zip(pieces, sections, strict=True))]
 
 
+def _least_rise(change: ObjectChange, config: DecisionConfig) -> float:
+    """Return the least change of tops that makes a section [m]: of hedges, fences and walls of both epochs."""
+    if not (change.before and change.after):
+        return math.inf
+    if change.semantic is Semantic.VEGETATION:
+        return config.vegetation.height
+    stayed = change.semantic is Semantic.OTHER and change.decision.change is Change.UNCHANGED
+    return config.mobile.height if applies("fences_by_tops", stayed) else math.inf
+
+
 def _of_section(
     change: ObjectChange, section: HedgeSection, rules: ObjectRules, *, only: bool
 ) -> ObjectChange:
-    """Decide a hedge, or the piece of one that is a section, by the section whose tops moved."""
+    """Decide a hedge or fence, or the piece of one that is a section, by the section whose tops moved."""
+    if change.semantic is Semantic.OTHER:
+        return replace(
+            change,
+            measures=replace(change.measures, delta_h=section.rise),
+            decision=_decide_fence(section),
+        )
     if change.plant is None:
         return change
     plant = replace(change.plant, section=section.rise, section_gate=section.gate, section_only=only)
     decision = decide_plant(plant, change.lod, rules.decisions, no_null(rules.plants.null_model))
     return replace(change, plant=plant, decision=decision)
+
+
+def _decide_fence(section: HedgeSection) -> Decision:
+    """Decide a fence, a wall or what else is fixed by its section whose tops moved."""
+    rose = section.rise > 0
+    reason = (
+        f"The top changed by {section.rise:+.2f} m (limit {section.gate:.2f} m), and the space above the lower"
+        f" top was seen free: the object {'is higher' if rose else 'is lower'} than before."
+    )
+    change = Change.INCREASED if rose else Change.DECREASED
+    return Decision(change, reason, abs(section.rise) / section.gate)
 
 
 @switchable("fragments_of_changed_objects", first_argument)

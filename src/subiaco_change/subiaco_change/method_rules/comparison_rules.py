@@ -500,6 +500,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "fences_by_tops",
+        _HERE,
+        "A section of a fence, wall or other fixed object whose tops moved grew or shrank.",
+        ("decisions.mobile.height",),
+    ),
+    Rule(
         "whole_hedges",
         _HERE,
         "A hedge of which nearly all columns moved alike is one row.",

@@ -156,6 +156,13 @@ GROUND_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "deep_patches",
+        _GROUND,
+        "A patch below the limit of area is reported where it moved as much ground as the smallest patch"
+        " above that limit.",
+        ("ground.small_area",),
+    ),
+    Rule(
         "measured_patches",
         _GROUND,
         "A patch is claimed only where both epochs measured enough of its cells.",
