@@ -89,6 +89,12 @@ class PlantLimits(StrictModel):
         description="Change of the height of a plant beyond which the plant is called Increased or "
         "Decreased [m]. Raise it to claim fewer changes",
     )
+    height_share: float = Field(
+        0.04,
+        ge=0,
+        description="Fraction of the height of a tall plant that takes the place of this limit where it is "
+        "larger: the higher a top, the farther away and with the wider gaps beams meet it",
+    )
     volume: float = Field(
         0.15,
         gt=0,

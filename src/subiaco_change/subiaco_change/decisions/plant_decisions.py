@@ -263,12 +263,14 @@ def _excesses(
     plant: PlantMeasures, gate: float, rules: PlantLimits, null: VegetationNull
 ) -> dict[str, _Excess]:
     """Return every measure of a whole plant with its limit: the rule's, or the scatter of the pair."""
+    tall = applies("tops_of_tall_plants", rules.height_share * plant.height > rules.height)
+    top = max(rules.height_share * plant.height if tall else rules.height, gate)
     limits = {
         "outline": rules.outline * plant.reach
         if applies("outline_of_plants", math.isfinite(plant.reach))
         else math.inf,
-        "top": max(rules.height, gate),
-        "rise": max(rules.height, gate),
+        "top": top,
+        "rise": top,
         "volume": rules.volume,
         "surface": rules.min_net_change if _has_part_on_side(plant, plant.surface, rules) else rules.surface,
         "base": max(rules.base, gate),

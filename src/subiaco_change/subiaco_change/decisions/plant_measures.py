@@ -202,7 +202,8 @@ def measure_plant(
     base, base_sigma = change_of_base(first, second, config)
     both = np.concatenate([first, second])
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
-    low = bool(np.quantile(heights, 0.98) <= config.low)
+    height = float(np.quantile(heights, 0.98))
+    low = height <= config.low
     return PlantMeasures(
         kind="hedge" if low else "crown",
         density=density,
@@ -224,6 +225,7 @@ def measure_plant(
         tops_unseen=tops.unseen,
         base=base,
         base_sigma=base_sigma,
+        height=height,
         gained_on_side=0.0 if low else part_on_side(after, before, config),
         lost_on_side=0.0 if low else part_on_side(before, after, config),
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),

@@ -83,7 +83,8 @@ class PlantMeasures:
     section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``
     [m]: of the columns of a part of the plant. ``free_gained`` and ``free_lost``: probability that the
     surface that *after*, or *before*, alone has was free in the other epoch. ``tops_unseen``: its columns
-    were compared, but the space above their lower tops was not observed. ``gained_on_side`` and
+    were compared, but the space above their lower tops was not observed. ``height``: of its top above the
+    ground [m]. ``gained_on_side`` and
     ``lost_on_side``: the fraction of its voxels that *after*, or *before*, alone has, deep in space that was
     free in the other epoch, where they lie on one side of the plant; 0 elsewhere.
     """
@@ -112,6 +113,7 @@ class PlantMeasures:
     tops_unseen: bool = False
     base: float = math.nan
     base_sigma: float = math.nan
+    height: float = 0.0
     gained_on_side: float = 0.0
     lost_on_side: float = 0.0
 

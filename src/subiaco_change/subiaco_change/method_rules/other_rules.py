@@ -50,6 +50,13 @@ PLANT_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "tops_of_tall_plants",
+        _PLANTS,
+        "The top of a tall plant must change by a share of its height: beams meet a high top from afar, with"
+        " wide gaps between them.",
+        ("decisions.vegetation.height_share",),
+    ),
+    Rule(
         "space_above_tops",
         ("comparison",),
         "The tops of a plant count where the epoch with the lower top observed free space above that top.",
