@@ -43,6 +43,12 @@ class BuildingInteriorsNumbers(StrictModel):
     before_point: float = Field(
         1.0, description="Distance from a point at which the search for walls before it begins [m]"
     )
+    deepest: float = Field(
+        6.0, description="Distance of a wall up to which a point may lie in the room behind it [m]"
+    )
+    close: float = Field(
+        0.2, description="Fraction of the places of the sensor from which the wall must be as near as that"
+    )
     hidden: float = Field(
         0.9, description="Fraction of the places of the sensor from which a point behind walls is hidden"
     )

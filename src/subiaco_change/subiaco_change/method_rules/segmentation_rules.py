@@ -224,6 +224,8 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
             "method_numbers.building_interiors.sight",
             "method_numbers.building_interiors.sensor_step",
             "method_numbers.building_interiors.before_point",
+            "method_numbers.building_interiors.deepest",
+            "method_numbers.building_interiors.close",
             "method_numbers.building_interiors.hidden",
             "method_numbers.building_interiors.lowest_wall",
             "method_numbers.point_labels.interior_reach",

@@ -1,8 +1,9 @@
 """What was seen through windows and doors: points behind facades, which look like plants.
 
 Curtains, furniture and rear walls scatter as leaves do. From everywhere on the survey path a wall stands
-before them, and beams reached them through its openings. A plant in a garden is seen past the house, or
-over its fence.
+before them, from some of these places no farther away than a room is deep, and beams reached them through
+its openings. A plant in a garden is seen past the house, or over its fence; of a plant behind the house, the
+facade is farther away.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ _CELL = NUMBERS.building_interiors.cell
 LOOKED_FROM = NUMBERS.building_interiors.sight
 SENSOR_STEP = NUMBERS.building_interiors.sensor_step
 _NEAR = NUMBERS.building_interiors.before_point
+_DEEP = NUMBERS.building_interiors.deepest
+_ROOM = NUMBERS.building_interiors.close
 _HIDDEN = NUMBERS.building_interiors.hidden
 _LOWEST = NUMBERS.building_interiors.lowest_wall
 _LEVELS = 62  # heights of one metre that a number of 64 bits can hold
@@ -69,14 +72,22 @@ def inside_facades(xyz: Floats, height: Floats, facade: Mask, free: Mask, sensor
     column, level = np.divmod(places, _LEVELS)
     start = np.column_stack([*np.divmod(column, shape[1]), level]) + 0.5
     eyes = (sensor - low) / (_CELL, _CELL, 1.0)
-    hidden = _are_hidden(start, eyes, walls, LOOKED_FROM / _CELL, round(_NEAR / _CELL), 1.0 - _HIDDEN)
+    reach = LOOKED_FROM / _CELL, round(_NEAR / _CELL), round(_DEEP / _CELL)
+    hidden = _are_hidden(start, eyes, walls, reach, 1.0 - _HIDDEN, _ROOM)
     found[some] = hidden[place]
     return found
 
 
 @numba.njit(cache=True)
-def _are_hidden(start: Floats, eyes: Floats, walls: Ints, sight: float, near: int, most: float) -> Mask:
-    """Tell which places (P, 3) at most a share of the eyes (K, 3) in sight see past walls, all in cells."""
+def _are_hidden(
+    start: Floats, eyes: Floats, walls: Ints, reach: tuple[float, int, int], most: float, close: float
+) -> Mask:
+    """Tell which places (P, 3) at most a share of the eyes (K, 3) in sight see past walls, all in cells.
+
+    ``reach``: of sight, and the distances from a place where the search for walls begins, and up to which a
+    wall is close. It must be close as seen from the share ``close`` of the eyes.
+    """
+    sight, first, deep = reach
     hidden = np.zeros(len(start), np.bool_)
     far = np.empty(len(eyes))
     for p in range(len(start)):
@@ -84,24 +95,26 @@ def _are_hidden(start: Floats, eyes: Floats, walls: Ints, sight: float, near: in
         for k in range(len(eyes)):
             far[k] = np.hypot(eyes[k, 0] - start[p, 0], eyes[k, 1] - start[p, 1])
             looked += 1.0 <= far[k] <= sight
-        left = int(np.floor(most * looked + 1e-9))
+        left, near = int(np.floor(most * looked + 1e-9)), 0
         for k in range(len(eyes)):
             if left < 0:
                 break
-            if 1.0 <= far[k] <= sight and not _is_behind(start[p], eyes[k], far[k], walls, near):
-                left -= 1
-        hidden[p] = looked > 0 and left >= 0
+            if 1.0 <= far[k] <= sight:
+                distance = _wall_before(start[p], eyes[k], far[k], walls, first)
+                left -= distance < 0
+                near += 0 <= distance <= deep
+        hidden[p] = looked > 0 and left >= 0 and near >= close * looked
     return hidden
 
 
 @numba.njit(cache=True)
-def _is_behind(place: Floats, eye: Floats, far: float, walls: Ints, near: int) -> bool:
-    """Tell whether a wall stands between a place (3,) and an eye (3,)."""
+def _wall_before(place: Floats, eye: Floats, far: float, walls: Ints, first: int) -> int:
+    """Return the distance from a place (3,) of the first wall on the way to an eye (3,), -1 for none."""
     step = (eye - place) / far
-    for number in range(near, int(far)):
+    for number in range(first, int(far)):
         i, j = int(np.floor(place[0] + step[0] * number)), int(np.floor(place[1] + step[1] * number))
         level = int(np.floor(place[2] + step[2] * number))
         inside = 0 <= i < walls.shape[0] and 0 <= j < walls.shape[1] and 0 <= level < 62
         if inside and (walls[i, j] >> level) & 1:
-            return True
-    return False
+            return number
+    return -1
