@@ -233,17 +233,25 @@ def with_cabins(
     Beams pass through windows and meet seats: sampled sparsely, a car is as rough as a shrub. But a car
     fills the rectangle around it, and its roof is much smaller than its body. A hedge is as wide at its top,
     and a shrub that narrows upwards is round. A fence, a narrow hedge or the ghost trail of a pedestrian that
-    touches a car is thinner than the car, and is left out.
+    touches a car is thinner than the car, and is left out. A car that touches nothing is taken as it is: a
+    survey that passed on one side may not show how thick it is.
     """
     low = np.flatnonzero((height > config.split_band) & (height < config.car_top))
     completed, plant = semantic.copy(), semantic == Semantic.VEGETATION
+
+    def is_car(mine: Ints) -> bool:
+        return bool(plant[mine].mean() > config.leafy and has_cabin(xyz[mine], height[mine], config))
+
+    alone = group_indices(cell_clusters(xyz[low, :2], config.split_gap))
+    for mine in filter(is_car, (low[group] for group in alone)):
+        completed[mine] = Semantic.MOBILE
+    low = low[completed[low] == semantic[low]]
     parts = _thick_parts(xyz[low, :2], height[low] < config.car_body, config)
     low, parts = low[parts >= 0], parts[parts >= 0]
     for group in group_indices(split_rows(xyz[low, :2], height[low], parts, config.rows)):
-        cars = _cars_of_row(xyz, height, low[group], config) if plant[low[group]].any() else []
-        for mine in cars:
-            if plant[mine].mean() > config.leafy and has_cabin(xyz[mine], height[mine], config):
-                completed[mine] = Semantic.MOBILE
+        of_row = _cars_of_row(xyz, height, low[group], config) if plant[low[group]].any() else []
+        for mine in filter(is_car, of_row):
+            completed[mine] = Semantic.MOBILE
     return completed
 
 
@@ -266,14 +274,19 @@ def _cars_of_row(xyz: Floats, height: Floats, members: Ints, config: VehicleConf
 def _thick_parts(xy: Floats, body: Mask, config: VehicleConfig) -> Ints:
     """Return the number (N,) of the part of each point (N, 2); below 0 what is thinner than a car.
 
-    Only points of the ``body`` (N,) show how thick a part is: branches may hang over a car.
+    Points of the ``body`` (N,) show how thick a part is, and of what is higher only the roof between them:
+    branches may hang over a car.
     """
     if len(xy) == 0:
         return np.zeros(0, dtype=np.int64)
     cell = np.floor(xy / config.split_gap).astype(np.int64)
     cell -= cell.min(axis=0) - 1
-    held = np.zeros(cell.max(axis=0) + 2, dtype=bool)
+    reach = round(0.5 * config.car_width / config.split_gap)
+    cell += reach
+    held, above = np.zeros((2, *(cell.max(axis=0) + reach + 2)), dtype=bool)
     held[tuple(cell[body].T)] = True
+    above[tuple(cell[~body].T)] = True
+    held |= above & ndimage.binary_closing(held, np.ones((3, 3)), iterations=reach)
     half = 0.5 * config.thinnest_car / config.split_gap
     holes, count = ndimage.label(~held)
     small = np.bincount(holes.ravel(), minlength=count + 1) * config.split_gap**2 <= config.car_hole
