@@ -346,7 +346,7 @@ class VehicleConfig(StrictModel):
         "points, seen from above; pieces of ghost trails have fewer",
     )
     cabin_share: float = Field(
-        0.75,
+        0.7,
         gt=0,
         le=1,
         description="Area of the uppermost band of a car-sized plant, as a fraction of its whole area, below "
