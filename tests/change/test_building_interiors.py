@@ -47,6 +47,7 @@ def test_furniture_behind_windows_is_inside() -> None:
         ((2, 5, 0.3), (10, 7, 2.4)),  # a shrub in the front garden
         ((14, 9, 0.3), (17, 14, 4.0)),  # a tree beside the house
         ((2, 17, 14.0), (10, 20, 19.0)),  # a crown behind the house, seen above its roof
+        ((3, 19, 2.0), (9, 22, 6.0)),  # a tree in the garden behind the house, hidden by it
     ],
 )
 def test_plants_before_beside_and_above_a_house_are_outside(low, high) -> None:

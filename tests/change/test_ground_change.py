@@ -83,12 +83,24 @@ def test_a_cell_on_an_edge_has_the_height_of_its_larger_part():
     "lift",
     [
         lambda x, y: 0.1 * ((x > 20) & (x < 60)),
-        lambda x, y: 0.4 * ((x > 20) & (x < 24) & (y > 20) & (y < 24)),
+        lambda x, y: 0.2 * ((x > 20) & (x < 24) & (y > 20) & (y < 24)),
     ],
     ids=["camber", "small"],
 )
 def test_low_and_small_differences_are_no_changes(lift):
     assert patches(lift) == ()
+
+
+@pytest.mark.parametrize(
+    ("side", "dz", "count"), [(4.0, -0.4, 1), (4.0, -0.2, 0), (3.0, 0.6, 1), (2.0, 1.5, 0)]
+)
+def test_a_small_patch_is_claimed_where_it_moved_as_much_ground_as_the_least_large_one(side, dz, count):
+    """25 m2 by 0.15 m are 3.75 m3; of 4 m2 alone nothing is claimed, however deep."""
+    found = patches(lambda x, y: dz * box(30, 30, side, side)(x, y))
+    assert [np.sign(p.dz) for p in found] == [np.sign(dz)] * count
+    assert all("limit 25 m², or 3.75 m³ of a smaller patch" in p.reason for p in found)
+    with rules_switched_off(["deep_patches"]):
+        assert patches(lambda x, y: dz * box(30, 30, side, side)(x, y)) == ()
 
 
 def test_nothing_is_claimed_below_the_level_of_detection():

@@ -53,6 +53,36 @@ def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
     assert np.array_equal(np.sort(together), before.points)
 
 
+def fences(before, after, semantic=Semantic.OTHER):
+    """Rows of a fence of both epochs that stayed."""
+    sides = [replace(side, semantic=semantic) for side in (before, after)]
+    whole = Decision(Change.UNCHANGED, "it stayed", 1.0)
+    measures = measure(before.voxels, after.voxels, MeasureConfig())
+    change = ObjectChange((sides[0],), (sides[1],), semantic, "one_to_one", measures, whole)
+    return split_hedge_segments([change], RULES)
+
+
+@pytest.mark.parametrize(("height", "label"), [(1.0, Change.DECREASED), (1.9, Change.INCREASED)])
+def test_a_section_of_a_fence_that_was_raised_or_lowered_is_a_row_of_its_own(height, label):
+    before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.5), (6, 12, height)], 2)
+    rest, moved = fences(before, after)
+    assert (rest.decision.change, moved.decision.change) == (Change.UNCHANGED, label)
+    assert moved.measures.delta_h == pytest.approx(height - 1.5, abs=0.05)
+    assert f"top changed by {moved.measures.delta_h:+.2f} m" in moved.decision.reason
+    with rules_switched_off(["fences_by_tops"]):
+        assert [c.decision.reason for c in fences(before, after)] == ["it stayed"]
+
+
+def test_a_fence_that_kept_its_height_or_was_raised_as_a_whole_is_one_row():
+    before = hedge([(0, 12, 1.5)], 1)
+    (same,) = fences(before, hedge([(0, 12, 1.6)], 2))
+    assert same.decision.reason == "it stayed"
+    (raised,) = fences(before, hedge([(0, 12, 2.1)], 2))
+    assert raised.decision.change is Change.INCREASED
+    (parked,) = fences(before, hedge([(0, 12, 2.1)], 2), Semantic.MOBILE)  # vehicles have no sections
+    assert parked.decision.reason == "it stayed"
+
+
 @pytest.mark.parametrize(("reach", "count"), [(3.0, 1), (1.7, 0)], ids=["open above", "view ended there"])
 def test_a_section_grew_only_if_the_earlier_epoch_saw_free_space_above_its_tops(reach, count):
     """*Before* holds points up to 1.5 m; of *after*, half rises to 1.9 m, within the tolerance of voxels."""

@@ -156,7 +156,7 @@ def test_a_large_gap_in_a_patch_counts_towards_its_area_until_the_rule_is_off():
     cells = area(0.4)
     dz = cells.dz.copy()
     dz[:, :] = 0.0
-    dz[10:30, 10:14] = 0.4
+    dz[10:30, 10:14] = 0.18
     dz[10:30, 14:30] = np.nan
     cells = replace(cells, dz=dz)
     assert patches(cells) == 1

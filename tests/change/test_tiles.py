@@ -108,7 +108,9 @@ def test_another_setting_redoes_only_what_rests_on_it(kept, tmp_path):
     folder = tmp_path / "stages"
     shutil.copytree(kept[0], folder)
     runner = TaskRunner(DiskStore(folder))
-    other = CONFIG.model_copy(update={"ground": CONFIG.ground.model_copy(update={"area": 60.0})})
+    other = CONFIG.model_copy(
+        update={"ground": CONFIG.ground.model_copy(update={"area": 60.0, "small_area": 60.0})}
+    )
     result = detect_changes(*pair(), other, transform=IDENTITY, runner=runner)
     assert {spent.stage for spent in runner.spent} == {"ground", "threshold_components", "patches", "labels"}
     assert not [r for r in result.records if r.semantic is Semantic.GROUND]

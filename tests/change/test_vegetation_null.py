@@ -28,6 +28,7 @@ from subiaco_change.decisions.vegetation_null import (
     null_of,
     null_words,
 )
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_change.objects.known_space import KnownSpace
 from subiaco_geo.codes import Change
 
@@ -50,6 +51,16 @@ def street(count, shift, scatter, changed=(), seed=0, slope=0.0):
 
 def label(plant, null):
     return decide_plant(plant, 0.03, CONFIG, null)
+
+
+@pytest.mark.parametrize(("height", "rise", "change"), [
+    (6.0, 0.4, Change.INCREASED), (16.0, 0.4, Change.UNCHANGED), (16.0, -0.8, Change.DECREASED),
+])  # fmt: skip
+def test_the_top_of_a_tall_plant_must_change_by_a_share_of_its_height(height, rise, change):
+    tree = replace(TREE, height=height, rise=rise, rise_sigma=0.05, outline_sigma=0.02)
+    assert label(tree, no_null(NULL)).change is change
+    with rules_switched_off(["tops_of_tall_plants"]):
+        assert label(tree, no_null(NULL)).change is not Change.UNCHANGED
 
 
 @pytest.mark.parametrize("shift", [0.25, -0.25])

@@ -208,6 +208,18 @@ def test_a_soft_car_below_branches_is_a_car():
     assert (found[car_[:, 2] > VehicleConfig().split_band] == Semantic.MOBILE).mean() > 0.95
 
 
+def test_a_soft_car_of_which_the_street_shows_no_body_beneath_its_roof_is_a_car():
+    """Seen past its near side, its cabin is a hole in what is lower than a roof."""
+    rng = np.random.default_rng(12)
+    car_ = soft_car(rng, 0.0, 0.0)
+    beneath = (np.abs(car_[:, 0] + 0.3) < 1.2) & (np.abs(car_[:, 1]) < 0.65) & (car_[:, 2] < 1.25)
+    alone = cabins_among_plants(car_[~beneath])
+    assert (alone[car_[~beneath, 2] > VehicleConfig().split_band] == Semantic.MOBILE).all()
+    hedge_ = rng.uniform((-4.0, 0.9, 0.3), (5.0, 1.3, 1.4), (1500, 3))
+    found = cabins_among_plants(np.concatenate([car_[~beneath], hedge_]))[: np.count_nonzero(~beneath)]
+    assert (found[car_[~beneath, 2] > VehicleConfig().split_band] == Semantic.MOBILE).mean() > 0.85
+
+
 def test_an_uneven_hedge_as_wide_as_a_car_is_no_row_of_cars():
     rng = np.random.default_rng(10)
     xy = rng.uniform((0.0, -0.9), (12.0, 0.9), (6000, 2))

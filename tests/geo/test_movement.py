@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from subiaco_geo.clouds import voxel_keys
-from subiaco_geo.movement import MovementConfig, verdicts
+from subiaco_geo.movement import MovementConfig, stood, verdicts
 from subiaco_geo.observation_times import PENDING, VoxelObservations, joined_looks
 from subiaco_geo.visibility import (
     NO_VERDICT,
@@ -90,6 +90,16 @@ def test_a_crawling_queue_moved_although_each_place_was_hit_for_most_of_the_time
     looks = looked_at(cells, 20.0, queue)
     assert np.mean(looks.hits / (looks.hits + looks.through)) > 0.6
     assert np.nanmedian(probability(cells, looks)) >= CONFIG.sure
+
+
+def test_a_parked_car_stood_and_one_that_waited_and_left_did_not() -> None:
+    cells = block(LENGTH)
+    parked = stood(looked_at(cells, 10.0, lambda xyz, _: np.ones(len(xyz), dtype=bool)), CONFIG)
+    assert parked.all()
+    for speed, wait in ((3.0, (0.0, 0.0)), (5.0, (3.0, 5.0))):
+        assert not stood(looked_at(cells, 14.0, car(speed, wait=wait)), CONFIG).any()
+    seconds = 1.0  # too short a time to tell
+    assert not stood(looked_at(cells, seconds, lambda xyz, _: np.ones(len(xyz), dtype=bool)), CONFIG).any()
 
 
 @pytest.mark.parametrize(("share", "width"), [(1.0, 1), (0.7, 2), (0.35, 2), (0.2, 2), (0.1, 2)])

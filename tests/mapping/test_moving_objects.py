@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from plain_fusion import add_scan, fused_cloud
 from numpy.typing import NDArray
+from plain_fusion import add_scan, fused_cloud
 from scipy.spatial import cKDTree
 from traffic_scene import REGIONS, drive
 

@@ -44,7 +44,7 @@ class GroundChangeConfig(StrictModel):
         25.0, gt=0, description="Contiguous area above which changed ground is reported [m2] (paper)"
     )
     small_area: float = Field(
-        2.0,
+        6.25,
         gt=0,
         description="Area above which a smaller patch is reported if it moved as much ground as the "
         "smallest patch above `area` does at the threshold [m2]",
@@ -119,7 +119,6 @@ class GroundChangeConfig(StrictModel):
         description="Half width of occluded gaps between changed cells that are filled and count towards "
         "the area [cells]; 5 covers a parked car",
     )
-
 
     @property
     def volume(self) -> float:

@@ -101,7 +101,7 @@ def find_patches(
     return patch, tuple(patches)
 
 
-def _none_more(labels: Ints, count: int, *_: object) -> Mask:
+def _none_more(_: Ints, count: int, *__: object) -> Mask:
     """Return no patch."""
     return np.zeros(count + 1, dtype=bool)
 
@@ -248,8 +248,8 @@ def _make_patch(
     volume = abs(float(values.sum())) * cell**2
     reason = (
         f"The ground level changed by {height:+z.2f} m (limit {config.threshold:.2f} m, LoD95 {level:.2f} m,"
-        f" standard deviation {spread:.2f} m) over {area:.0f} m² and {volume:.1f} m³ (limit {config.area:.0f} m²,"
-        f" or {config.volume:.2f} m³ of a smaller patch): the ground was"
+        f" standard deviation {spread:.2f} m) over {area:.0f} m² and {volume:.1f} m³ (limit"
+        f" {config.area:.0f} m², or {config.volume:.2f} m³ of a smaller patch): the ground was"
         f" {'raised' if height > 0 else 'lowered'}."
     )
     return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)

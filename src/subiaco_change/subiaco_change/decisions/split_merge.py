@@ -335,7 +335,7 @@ def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
 
 @switchable("hedge_sections", first_argument)
 def split_hedge_segments(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Give sections of hedges and fences whose tops moved rows of their own, or the whole if nearly all did."""
+    """Give sections of hedges and fences whose tops moved rows of their own, or nearly all one row."""
     if rules.association.parts.points == 0:
         return list(changes)
     following = _first_free(changes)
@@ -378,7 +378,7 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
 
 
 def _least_rise(change: ObjectChange, config: DecisionConfig) -> float:
-    """Return the least change of tops that makes a section [m]: of hedges, fences and walls of both epochs."""
+    """Return the least change of tops that makes a section [m] of a hedge or fence of both epochs."""
     if not (change.before and change.after):
         return math.inf
     if change.semantic is Semantic.VEGETATION:
@@ -407,10 +407,8 @@ def _of_section(
 def _decide_fence(section: HedgeSection) -> Decision:
     """Decide a fence, a wall or what else is fixed by its section whose tops moved."""
     rose = section.rise > 0
-    reason = (
-        f"The top changed by {section.rise:+.2f} m (limit {section.gate:.2f} m), and the space above the lower"
-        f" top was seen free: the object {'is higher' if rose else 'is lower'} than before."
-    )
+    reason = f"The top changed by {section.rise:+.2f} m (limit {section.gate:.2f} m): the object is"
+    reason += f" {'higher' if rose else 'lower'} than before."
     change = Change.INCREASED if rose else Change.DECREASED
     return Decision(change, reason, abs(section.rise) / section.gate)
 
