@@ -53,13 +53,22 @@ def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
     assert np.array_equal(np.sort(together), before.points)
 
 
-def fences(before, after, semantic=Semantic.OTHER):
+def fences(before, after, semantic=Semantic.OTHER, rules=RULES):
     """Rows of a fence of both epochs that stayed."""
     sides = [replace(side, semantic=semantic) for side in (before, after)]
     whole = Decision(Change.UNCHANGED, "it stayed", 1.0)
     measures = measure(before.voxels, after.voxels, MeasureConfig())
     change = ObjectChange((sides[0],), (sides[1],), semantic, "one_to_one", measures, whole)
-    return split_hedge_segments([change], RULES)
+    return split_hedge_segments([change], rules)
+
+
+@pytest.mark.parametrize(("height", "count"), [(1.7, 1), (2.8, 2)], ids=["between", "far above"])
+def test_a_wall_whose_top_plants_hide_in_one_epoch_did_not_grow(height, count):
+    """*Before* has leaves where *after* has the upper part of the wall; a crown above says nothing."""
+    before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.5), (6, 12, 1.9)], 2)
+    leaves = np.random.default_rng(3).uniform((6, 0, height - 0.1), (12, 1, height + 0.1), (600, 3))
+    rules = replace(RULES, spaces=(KnownSpace(standing=leaves), KnownSpace()))
+    assert len(fences(before, after, rules=rules)) == count
 
 
 @pytest.mark.parametrize(("height", "label"), [(1.0, Change.DECREASED), (1.9, Change.INCREASED)])

@@ -352,7 +352,10 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     if not math.isfinite(least):
         return [change]
     limit = max(least, rules.decisions.lod_factor * change.lod)
-    sections, columns = changed_sections(change.before, change.after, limit, rules.spaces, rules.plants.tops)
+    fence = change.semantic is Semantic.OTHER  # a wall with plants on it may show its top in one epoch alone
+    sections, columns = changed_sections(
+        change.before, change.after, limit, rules.spaces, rules.plants.tops, alone=fence
+    )
     if not sections:
         return [change]
     alike = len({s.rise > 0 for s in sections}) == 1

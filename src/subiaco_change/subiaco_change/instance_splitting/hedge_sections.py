@@ -14,7 +14,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, switchable
 from subiaco_change.objects.column_volumes import tops_of_columns
 from subiaco_change.objects.known_space import ALL_FREE, Free, KnownSpaces
-from subiaco_change.objects.plant_tops import TopConfig, open_above
+from subiaco_change.objects.plant_tops import TopConfig, open_above, stands_between
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints
@@ -43,12 +43,14 @@ def changed_sections(
     threshold: float,
     spaces: KnownSpaces = ALL_FREE,
     config: TopConfig | None = None,
+    *,
+    alone: bool = False,
 ) -> tuple[list[HedgeSection], Floats]:
     """Find where tops of a low plant moved by over a threshold [m], and beyond their spread.
 
     The epoch with the lower tops must have observed the space above them, where ``spaces`` of *before* and of
-    *after* tell. Returns the sections, and all
-    columns compared (C, 2).
+    *after* tell. ``alone``: nor may anything else stand between the tops of most columns. Returns the
+    sections, and all columns compared (C, 2).
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
     corner, tops = _tops(first, second)
@@ -68,6 +70,10 @@ def changed_sections(
                 continue
             xy = _middles(cells + corner)
             lower = 0 if sign > 0 else 1
+            pair = tops[:, *cells.T]
+            between = stands_between(_CELL, cells + corner, pair, pair[lower], spaces[lower].standing)
+            if alone and between.mean() > _SEEN:
+                continue
             if _observed((after, before)[lower], xy, tops[lower], cells) and _is_open(
                 xy, tops[lower][tuple(cells.T)], tops[1 - lower][tuple(cells.T)], spaces[lower].above, config
             ):

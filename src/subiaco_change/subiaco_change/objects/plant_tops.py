@@ -236,7 +236,8 @@ def _known(columns: _Columns, spaces: KnownSpaces, config: TopConfig) -> np.ndar
         if not mine.any():
             continue
         space, top = spaces[epoch], columns.highest[epoch]
-        known[mine] &= ~_other_class_above(columns, top, space.standing)[mine]
+        between = stands_between(columns.cell, columns.cells, columns.tops, top, space.standing)
+        known[mine] &= ~between[mine]
         if space.above is not None:
             known &= ~mine | open_above(middles, top, columns.tops[1 - epoch], space.above, config)
     return known
@@ -259,9 +260,21 @@ def open_above(middles: Floats, own: Floats, other: Floats, free: Free, config: 
     return open_
 
 
-def _other_class_above(columns: _Columns, own: Floats, standing: Floats) -> np.ndarray:
-    """Tell in which columns (C,) points (N, 3) above the ``own`` top reach between both tops."""
-    cell, cells, tops = columns.cell, columns.cells, columns.tops
+def stands_between(cell: float, cells: Ints, tops: Floats, own: Floats, standing: Floats) -> np.ndarray:
+    """Tell in which columns (C,) points of another object reach between the tops of both epochs.
+
+    Parameters
+    ----------
+    cell : float
+        Edge of the columns [m].
+    cells : (C, 2) int
+    tops : (2, C) float64
+        Of *before* and *after* [m].
+    own : (C,) float64
+        Of the epoch that is asked; its points below are those of the object itself [m].
+    standing : (N, 3) float64
+        Points of that epoch [m].
+    """
     held = np.zeros(len(cells), dtype=bool)
     first, last = extent_of(cells)
     (west, south), (east, north) = first * cell, (last + 1) * cell
