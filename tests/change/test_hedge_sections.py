@@ -1,6 +1,7 @@
 """Hedges that are one instance, of which a part grew or was trimmed."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -32,12 +33,18 @@ def hedge(pieces, seed, seen=True):
     return ObjectInstance(0, Semantic.VEGETATION, 0.8, np.arange(len(xyz)), held, 0.05, xyz)
 
 
-def decided(before, after):
+def decided(before, after, semantic=Semantic.VEGETATION, reason="as a whole", rules=RULES):
+    """Rows of a hedge, or of another object, that both epochs have and that is unchanged as a whole."""
+    before, after = (replace(side, semantic=semantic) for side in (before, after))
     measures = measure(before.voxels, after.voxels, MeasureConfig())
-    whole = Decision(Change.UNCHANGED, "as a whole", 0.5)
-    plant = measure_plant([before], [after], measures, RULES.plants)
-    change = ObjectChange((before,), (after,), Semantic.VEGETATION, "one_to_one", measures, whole, plant)
-    return split_hedge_segments([change], RULES)
+    whole = Decision(Change.UNCHANGED, reason, 0.5)
+    is_plant = semantic is Semantic.VEGETATION
+    plant = measure_plant([before], [after], measures, rules.plants) if is_plant else None
+    change = ObjectChange((before,), (after,), semantic, "one_to_one", measures, whole, plant)
+    return split_hedge_segments([change], rules)
+
+
+fences = partial(decided, semantic=Semantic.OTHER, reason="it stayed")
 
 
 @pytest.mark.parametrize(("height", "label"), [(1.1, Change.DECREASED), (2.0, Change.INCREASED)])
@@ -51,15 +58,6 @@ def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
     assert before.xyz[rest.points("before"), 0].max() < 6.6
     together = np.concatenate([c.points("before") for c in (rest, moved)])
     assert np.array_equal(np.sort(together), before.points)
-
-
-def fences(before, after, semantic=Semantic.OTHER, rules=RULES):
-    """Rows of a fence of both epochs that stayed."""
-    sides = [replace(side, semantic=semantic) for side in (before, after)]
-    whole = Decision(Change.UNCHANGED, "it stayed", 1.0)
-    measures = measure(before.voxels, after.voxels, MeasureConfig())
-    change = ObjectChange((sides[0],), (sides[1],), semantic, "one_to_one", measures, whole)
-    return split_hedge_segments([change], rules)
 
 
 @pytest.mark.parametrize(("height", "count"), [(1.7, 1), (2.8, 2)], ids=["between", "far above"])
@@ -88,7 +86,9 @@ def test_a_fence_that_kept_its_height_or_was_raised_as_a_whole_is_one_row():
     assert same.decision.reason == "it stayed"
     (raised,) = fences(before, hedge([(0, 12, 2.1)], 2))
     assert raised.decision.change is Change.INCREASED
-    (parked,) = fences(before, hedge([(0, 12, 2.1)], 2), Semantic.MOBILE)  # vehicles have no sections
+    (parked,) = fences(
+        before, hedge([(0, 12, 2.1)], 2), semantic=Semantic.MOBILE
+    )  # vehicles have no sections
     assert parked.decision.reason == "it stayed"
 
 

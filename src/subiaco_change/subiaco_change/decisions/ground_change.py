@@ -112,11 +112,10 @@ def _moved_as_much(labels: Ints, count: int, rise: Floats, config: GroundChangeC
 
     A trench of a metre is as much of a change as a road that was raised by a hand's breadth.
     """
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
     moved = np.bincount(labels.ravel(), np.maximum(rise, 0.0).ravel(), minlength=count + 1)
-    moved[0] = 0.0
     cell = config.cell**2
-    return np.asarray((sizes * cell > config.small_area) & (moved * cell >= config.volume))
+    large = _own_sizes(labels, count) * cell > config.small_area
+    return np.asarray(large & (moved * cell >= config.volume))
 
 
 @switchable("measured_patches", never)

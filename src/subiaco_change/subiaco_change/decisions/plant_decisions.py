@@ -263,8 +263,8 @@ def _excesses(
     plant: PlantMeasures, gate: float, rules: PlantLimits, null: VegetationNull
 ) -> dict[str, _Excess]:
     """Return every measure of a whole plant with its limit: the rule's, or the scatter of the pair."""
-    tall = applies("tops_of_tall_plants", rules.height_share * plant.height > rules.height)
-    top = max(rules.height_share * plant.height if tall else rules.height, gate)
+    share = rules.height_share * plant.height
+    top = max(share if applies("tops_of_tall_plants", share > rules.height) else rules.height, gate)
     limits = {
         "outline": rules.outline * plant.reach
         if applies("outline_of_plants", math.isfinite(plant.reach))

@@ -70,12 +70,11 @@ def changed_sections(
                 continue
             xy = _middles(cells + corner)
             lower = 0 if sign > 0 else 1
-            pair = tops[:, *cells.T]
-            between = stands_between(_CELL, cells + corner, pair, pair[lower], spaces[lower].standing)
-            if alone and between.mean() > _SEEN:
+            pair, space = tops[:, *cells.T], spaces[lower]
+            if alone and _is_hidden(cells + corner, pair, pair[lower], space.standing):
                 continue
             if _observed((after, before)[lower], xy, tops[lower], cells) and _is_open(
-                xy, tops[lower][tuple(cells.T)], tops[1 - lower][tuple(cells.T)], spaces[lower].above, config
+                xy, pair[lower], pair[1 - lower], space.above, config
             ):
                 sections.append(HedgeSection(xy, float(np.median(rise[labels == number])), threshold))
     columns = np.argwhere(np.isfinite(rise) | (known & ~low))
@@ -163,6 +162,11 @@ def _observed(objects: Sequence[ObjectInstance], xy: Floats, other_tops: Floats,
     inside = np.isfinite(distance)
     above = voxels[inside, 2] > other_tops[tuple(cells[slot[inside]].T)] + 0.1
     return bool(above.any() and seen[inside][above].mean() >= _SEEN)
+
+
+def _is_hidden(cells: Ints, tops: Floats, own: Floats, standing: Floats) -> bool:
+    """Tell whether points (N, 3) of something else stand between the tops (2, C) of most columns (C, 2)."""
+    return bool(stands_between(_CELL, cells, tops, own, standing).mean() > _SEEN)
 
 
 @switchable("space_above_sections", always)

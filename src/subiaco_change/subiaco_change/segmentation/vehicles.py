@@ -279,10 +279,9 @@ def _thick_parts(xy: Floats, body: Mask, config: VehicleConfig) -> Ints:
     """
     if len(xy) == 0:
         return np.zeros(0, dtype=np.int64)
-    cell = np.floor(xy / config.split_gap).astype(np.int64)
-    cell -= cell.min(axis=0) - 1
     reach = round(0.5 * config.car_width / config.split_gap)
-    cell += reach
+    cell = np.floor(xy / config.split_gap).astype(np.int64)
+    cell -= cell.min(axis=0) - 1 - reach
     held, above = np.zeros((2, *(cell.max(axis=0) + reach + 2)), dtype=bool)
     held[tuple(cell[body].T)] = True
     above[tuple(cell[~body].T)] = True

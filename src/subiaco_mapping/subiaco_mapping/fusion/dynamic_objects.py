@@ -87,7 +87,9 @@ def fragment_shares(
     np.minimum.at(low, group, xyz[rest])
     np.minimum.at(high, group, -xyz[rest])
     beside[((-high - low) > _FRAGMENT_LENGTH).any(axis=1)] = 0.0
-    beside[np.bincount(group, stood(xyz[rest])) >= _STOOD * np.bincount(group)] = 0.0
+    asked = np.flatnonzero(beside[group] > 0)
+    still = np.bincount(group[asked], stood(xyz[rest[asked]]), minlength=len(beside))
+    beside[still >= _STOOD * np.bincount(group)] = 0.0
     shares[rest] = beside[group]
     return shares
 

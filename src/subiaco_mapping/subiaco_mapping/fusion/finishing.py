@@ -241,13 +241,11 @@ class MapFusion:
         return found
 
     def _stood(self, xyz: Floats) -> NDArray[np.bool_]:
-        """Tell at which places (N, 3) something stood; False where no times are known."""
-        if self._layer.times is None:
-            return np.zeros(len(xyz), dtype=bool)
+        """Tell at which places (N, 3) something stood."""
         slot, found = self._layer.slots(xyz + self._origin)
-        if not found.any():
-            return found
-        return found & stood(self._layer.times.looks.select(slot), self._config.moving)
+        assert self._layer.times is not None  # the layer was made with times
+        found[found] = stood(self._layer.times.looks.select(slot[found]), self._config.moving)
+        return found
 
     def _finish_tile(self, tile: int, threads: int, still: DiskColumns, moving: DiskColumns) -> None:
         """Write what of a tile moved, and what stays with its normals."""
