@@ -68,6 +68,7 @@ from subiaco_change.method_numbers.segmentation_numbers import (
     RoofStructuresNumbers,
     SpacingNumbers,
     SparseNumbers,
+    SurveyPlacesNumbers,
     ThinTrailsNumbers,
     TrailEndsNumbers,
     TrailShapeNumbers,
@@ -145,6 +146,7 @@ class MethodNumbers(StrictModel):
     spacing: SpacingNumbers = SpacingNumbers()
     sparse: SparseNumbers = SparseNumbers()
     visibility_evidence: VisibilityEvidenceNumbers = VisibilityEvidenceNumbers()
+    survey_places: SurveyPlacesNumbers = SurveyPlacesNumbers()
     view_from_above: ViewFromAboveNumbers = ViewFromAboveNumbers()
     tiling: TilingNumbers = TilingNumbers()
     free_space: FreeSpaceNumbers = FREE_SPACE

@@ -212,6 +212,45 @@ class ViewFromAboveNumbers(StrictModel):
     )
 
 
+class SurveyPlacesNumbers(StrictModel):
+    """Numbers of ``survey_places.py``."""
+
+    cell: float = Field(2.0, description="Edge of the cells in which points on the ground are counted [m]")
+    ground_height: float = Field(
+        0.2, description="Height over or below the ground model up to which a point lies on the ground [m]"
+    )
+    mean_radius: float = Field(
+        10.0, description="Radius over which the density of the ground is averaged [m]; parked cars hide some"
+    )
+    compared_radius: float = Field(
+        15.0, description="Radius in which no ground is much denser than at a place of the sensor [m]"
+    )
+    densest_share: float = Field(
+        0.95, description="Smallest density of a place of the sensor as a ratio to the largest one around"
+    )
+    cap_percentile: float = Field(
+        95.0, description="Density up to which cells count, as a percentile of the cells [%]"
+    )
+    filled_share: float = Field(
+        0.3, description="Smallest density of the cell of a place as a ratio to the largest one that counts"
+    )
+    rounds: int = Field(2, description="Rounds in which a strip is drawn to its middle")
+    apart: float = Field(2.5, description="Smallest distance between two places of the sensor [m]")
+    gap: float = Field(30.0, description="Largest gap between places that dense ground closes [m]")
+    gap_density: float = Field(
+        0.7, description="Smallest density of the ground in a gap as a ratio to that at its ends"
+    )
+    beside: tuple[float, float] = Field(
+        (15.0, 25.0), description="Distances from the places between which the ground must be less dense [m]"
+    )
+    beside_density: float = Field(
+        0.5, description="Largest density of the ground beside the places as a ratio to that at them"
+    )
+    sensor_height: float = Field(
+        2.0, description="Height of the sensor of a street survey over the ground [m]"
+    )
+
+
 class VisibilityEvidenceNumbers(StrictModel):
     """Numbers of ``visibility_evidence.py``."""
 

@@ -21,6 +21,7 @@ from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.ground_model import fit_ground
 from subiaco_change.segmentation.raised_surfaces import find_raised
+from subiaco_change.survey_places import GroundDensity, ground_density
 from subiaco_change.tiling.epoch_tiles import EpochContext, TilePoints, load_beams
 from subiaco_change.view_from_above import ColumnCounts, count_columns
 from subiaco_change.visibility_evidence import (
@@ -95,11 +96,13 @@ class TrailParams:
 class TileTrails:
     """Probability (N,) that each point of a tile, in their order, was left by a moving object.
 
-    ``columns`` counts what its columns hold, which tells a view from above.
+    ``columns`` counts what its columns hold, which tells a view from above, and ``ground`` the points on its
+    ground, which tell where the sensor was.
     """
 
     moved: NDArray[np.float32]
     columns: ColumnCounts
+    ground: GroundDensity
 
 
 @obeys_rules
@@ -124,7 +127,9 @@ def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
     height = xyz[:, 2] - ground.height(xyz[:, :2])
     moved = trail_probability(xyz, height, config.trail_shape)
     probability = with_times(moved[: len(own)], points.moving).astype(np.float32)
-    return TileTrails(probability, count_columns(xyz[: len(own)], side.spacing))
+    count = np.ones(len(own), dtype=np.int64) if points.count is None else points.count
+    density = ground_density(own + side.origin, height[: len(own)], count)
+    return TileTrails(probability, count_columns(xyz[: len(own)], side.spacing), density)
 
 
 def with_times(by_shape: Floats, by_times: NDArray[Any] | None) -> Floats:

@@ -32,6 +32,7 @@ from subiaco_change.registration.pair import (
     refuse_height_offset,
     shares_origin,
 )
+from subiaco_change.survey_places import SensorPlaces, survey_places
 from subiaco_change.tiling.alignment import StatedPoses
 from subiaco_change.tiling.epoch_preparation import (
     LevellingParams,
@@ -122,6 +123,7 @@ class Epochs:
     trails: dict[str, dict[str, str]] = field(default_factory=dict)
     poses: dict[str, str] = field(default_factory=dict)
     paths: dict[str, str] = field(default_factory=dict)
+    places: dict[str, str] = field(default_factory=dict)
     prepared: dict[str, dict[str, str]] = field(default_factory=dict)
     united: dict[str, str] = field(default_factory=dict)
     points: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -294,10 +296,13 @@ class Epochs:
                 side = replace(side, beams_crs=other, corner=beams.corner, voxel=beams.voxel)
         elif kind == "shadow":
             side = replace(side, from_above=self._from_above(name))
+            if config.source == "auto" and not side.from_above:
+                side = self._from_places(side, cut)
         elif kind == "trajectory" and way is not None:
             _refuse_elsewhere(_named(name, epoch, "trajectory_file"), way, cut, config.poses.max_range)
             side = replace(side, corner=occupied_corner(cut.low, config.poses))
-            self.beams[name] = self._render(side, way)
+            poses = way.poses[sample_poses(way.positions, config.poses.pose_spacing)]
+            self.beams[name] = self._render(side, poses)
             side = replace(side, view=self._view(side, epoch, way))
         return side
 
@@ -305,15 +310,32 @@ class Epochs:
         """Take the sensor that a map describes, or estimate it from what its points need."""
         config = self.config.evidence.poses
         columns = [np.zeros((0, 2))]
-        for key in self.beams[side.epoch].values():
+        views = self.beams[side.epoch]
+        for key in views.values():
             piece = self.runner.load(TileViews, key)
             columns.append(occupied_columns(piece.occupied, side.corner, side.voxel))
-        view = described_view(epoch.info) or estimate_view(self._needs(side), config)
+        view = described_view(epoch.info) or estimate_view(self._needs(side, views), config)
         return with_blind_arcs(view, way.poses, np.concatenate(columns), config)
 
-    def _needs(self, side: EpochContext) -> list[ViewHistogram]:
+    def _from_places(self, side: EpochContext, cut: CutCloud) -> EpochContext:
+        """Estimate where the sensor of a bare cloud was, if its ground tells, and what it saw from there."""
+        name, config = side.epoch, self.config.evidence.poses
+        ground = [self.runner.load(TileTrails, key).ground for _, key in sorted(self.trails[name].items())]
+        places = survey_places(ground)
+        if len(places) == 0:
+            return side
+        _LOG.info("%s: places of the sensor estimated from the ground: %d", name, len(places))
+        poses = np.tile(np.eye(4), (len(places), 1, 1))
+        poses[:, :3, 3] = places
+        seeing = replace(side, kind="estimated", corner=occupied_corner(cut.low, config))
+        views = self._render(seeing, poses)
+        self.beams[name] = views
+        self.places[f"places/{name}"] = self.runner.put("places", name, SensorPlaces(places))
+        return replace(seeing, view=estimate_view(self._needs(seeing, views), config))
+
+    def _needs(self, side: EpochContext, views: Mapping[str, str]) -> list[ViewHistogram]:
         """Count what the points of an epoch need of its sensor, tile by tile."""
-        own, views, config = self.clouds[side.epoch], self.beams[side.epoch], self.config.evidence.poses
+        own, config = self.clouds[side.epoch], self.config.evidence.poses
         moved, rings = self.config.semantics.traffic.probability, math.ceil(config.max_range / self.size)
         tasks = []
         for name in sorted(own):
@@ -347,10 +369,9 @@ class Epochs:
             tasks.append(Task("trails", name, find_trails, inputs, params))
         return self.runner.run(tasks, (0.02, 0.03))
 
-    def _render(self, side: EpochContext, way: Trajectory) -> dict[str, str]:
+    def _render(self, side: EpochContext, poses: Floats) -> dict[str, str]:
         """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
         own, config = self.clouds[side.epoch], self.config.evidence.poses
-        poses = way.poses[sample_poses(way.positions, config.pose_spacing)]
         headings = spin_headings(poses[:, :3, :3])
         by_tile = split_by_tile(poses[:, :3, 3], self.size)
         rings = math.ceil(config.max_range / self.size)
@@ -430,6 +451,8 @@ class Epochs:
             inputs |= {f"trails/{n}": trails[n] for n in (name, *neighbours(name, own)) if n in trails}
             if f"path/{side.epoch}" in self.paths:
                 inputs["path"] = self.paths[f"path/{side.epoch}"]
+            if f"places/{side.epoch}" in self.places:
+                inputs["places"] = self.places[f"places/{side.epoch}"]
             tasks.append(Task("semantics", name, prepare_tile, inputs, params))
         return tasks
 

@@ -75,7 +75,7 @@ class TilePoints:
     """Points of a tile of one epoch, thinned to the leaf: ``xyz`` (N, 3) about the origin of the epoch [m].
 
     ``intensity``, ``semantic``, ``instance`` and ``moving``, the probability of having moved, (N,) where the
-    cloud has them.
+    cloud has them. ``count`` (N,): points of the cloud that each stands for.
     """
 
     xyz: Floats
@@ -83,6 +83,7 @@ class TilePoints:
     semantic: NDArray[Any] | None = None
     instance: NDArray[Any] | None = None
     moving: NDArray[Any] | None = None
+    count: NDArray[np.uint32] | None = None
 
 
 @dataclass(frozen=True)
@@ -224,7 +225,9 @@ def cut_cloud(
             every = InputPoints(xyz, voxel.astype(np.int32), arrays.get("intensity"))
             inputs[name] = runner.put("input", name, every)
         sizes[name] = len(thin)
-        keys[name] = runner.put("cut", name, TilePoints(thin.xyz, *(thin.fields.get(f) for f in FIELDS)))
+        count = np.bincount(voxel, minlength=len(thin)).astype(np.uint32)
+        cut = TilePoints(thin.xyz, *(thin.fields.get(f) for f in FIELDS), count)
+        keys[name] = runner.put("cut", name, cut)
         spacings.append(neighbour_spacings(thin.xyz))
     return CutCloud(keys, inputs, sizes, low, high, points, sum(sizes.values()), joint_spacing(spacings))
 

@@ -19,6 +19,7 @@ from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.instances import InstanceConfig
 from subiaco_change.segmentation.raised_surfaces import find_raised
 from subiaco_change.strategies import Classified, Part, choose_strategies
+from subiaco_change.survey_places import SensorPlaces
 from subiaco_change.tiling.epoch_preparation import load_moved, load_observer, load_turn
 from subiaco_change.tiling.epoch_tiles import EpochContext, TilePoints
 from subiaco_change.visibility_evidence import EvidenceConfig
@@ -192,10 +193,13 @@ def _label(
 
 def _sensor(inputs: Inputs, cloud: PointCloud) -> Floats:
     """Return places of the sensor (K, 3) around a cloud, in its frame [m]; none without a survey path."""
-    path = inputs.find(SurveyPath, "path")
-    if path is None or len(cloud) == 0:
+    path, estimated = inputs.find(SurveyPath, "path"), inputs.find(SensorPlaces, "places")
+    if len(cloud) == 0 or (path is None and estimated is None):
         return np.zeros((0, 3))
-    places = path.positions[sample_poses(path.positions, SENSOR_STEP)] - cloud.origin
+    if path is not None:
+        places = path.positions[sample_poses(path.positions, SENSOR_STEP)] - cloud.origin
+    elif estimated is not None:
+        places = estimated.xyz - cloud.origin
     low, high = cloud.xyz[:, :2].min(axis=0) - LOOKED_FROM, cloud.xyz[:, :2].max(axis=0) + LOOKED_FROM
     return np.asarray(places[((places[:, :2] > low) & (places[:, :2] < high)).all(axis=1)])
 

@@ -76,7 +76,7 @@ def load_region(
     parts: list[tuple[Any, ...]] = []
     own_world: list[Floats] = [np.zeros((0, 3))]
     wide: list[Surroundings] = []
-    by_points = side.kind in ("shadow", "trajectory")
+    by_points = side.kind in ("shadow", "trajectory", "estimated")
     for position, name in enumerate(tiles):
         piece = inputs.of(LabelledPoints, f"points/{side.epoch}/{name}")
         cloud = load_points(inputs, side, name, origin)
