@@ -6,7 +6,7 @@ from scenes import Scene, ground_z
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.pipeline import detect_changes
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.clouds import PointCloud, voxel_indices, voxel_keys
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
@@ -215,3 +215,21 @@ def test_houses_and_trees_that_were_seen_worse_in_one_epoch_have_not_shrunk():
     assert len(houses) == 4
     assert {r.change for r in houses} == {Change.UNCHANGED}
     assert not [r for r in result.records if r.change in (Change.INCREASED, Change.DECREASED)]
+
+
+@pytest.mark.parametrize(("dense", "evidence"), [(True, "estimated"), (False, "shadow")])
+def test_a_bare_cloud_is_judged_from_its_densest_ground_if_that_stands_out(dense, evidence):
+    """Along the street between the houses a sensor leaves far more points on the ground than beside it."""
+    rng = np.random.default_rng(21)
+    fewer = Scene(houses=[BEFORE.houses[0], BEFORE.houses[3]], trees=BEFORE.trees, cars=[], poles=[])
+    surveys = []
+    for seed, scene in ((30, BEFORE), (31, fewer)):
+        x, y = rng.uniform(-30, 30, 400_000), rng.uniform(-20, 9, 400_000)
+        met = (rng.random(len(x)) < 1.0 / (1.0 + (y / 5.0) ** 2)) & dense
+        road = np.column_stack([x, y, ground_z(x, y)])[met]
+        cloud = scene.cloud(seed)
+        surveys.append(SurveyMap(PointCloud(np.concatenate([cloud.xyz, road]), cloud.origin)))
+    result = detect_changes(*surveys, ChangeConfig(), transform=IDENTITY)
+    assert {r.evidence for r in result.records} == {evidence}
+    labels = [at(result, Semantic.BUILDING, *house).change for house in BEFORE.houses]
+    assert labels == [Change.UNCHANGED, Change.REMOVED, Change.REMOVED, Change.UNCHANGED]

@@ -71,7 +71,7 @@ class PlantLimits(StrictModel):
     FORMER_NAMES: ClassVar[Mapping[str, str]] = {"carried": "min_net_change"}
 
     min_iou: float = Field(
-        0.08,
+        0.10,
         ge=0,
         le=1,
         description="Voxel intersection over union above which two matched plants are compared for "
