@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
-from subiaco_change.decisions.ground_change import beyond_gate, ground_raster
+from subiaco_change.decisions.ground_change import beyond_gate, find_patches, ground_raster
 from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_change.objects.voxel_objects import EpochView
 from subiaco_geo.codes import Change, Semantic
@@ -182,6 +182,16 @@ def test_the_edge_of_a_patch_lies_where_half_of_its_height_is_reached():
     found = patches(lambda x, y: -0.2 * box(30.15, 30.15, 5.2, 5.2)(x, y))
     assert [p.change for p in found] == [Change.DECREASED]
     assert found[0].area == pytest.approx(27, rel=0.1)
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_floor_of_a_pit_that_lies_where_it_lay_is_no_patch():
+    shape = (40, 40)
+    none, level, lod = np.zeros(shape, dtype=bool), np.zeros(shape), np.full(shape, 0.03)
+    floor = none.copy()
+    floor[10:30, 10:30] = True
+    cells = GroundCells(level, lod, none, level, none, none, floor, none)
+    assert find_patches(cells, np.zeros(2), GroundChangeConfig())[1] == ()
 
 
 def test_a_few_deep_cells_in_the_dark_are_no_pit():

@@ -195,9 +195,10 @@ def _to_half_height(labels: Ints, count: int, rise: Floats, gate: Floats, config
     for number, window in enumerate(ndimage.find_objects(labels, count), start=1):
         around = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in window)
         mine = labels[around] == number
-        if np.count_nonzero(mine) * config.cell**2 < config.small_area:
+        over = mine & (rise[around] > gate[around])
+        if np.count_nonzero(mine) * config.cell**2 < config.small_area or not over.any():
             continue
-        half = _EDGE * float(np.median(rise[around][mine & (rise[around] > gate[around])]))
+        half = _EDGE * float(np.median(rise[around][over]))
         edge = ndimage.binary_dilation(mine, np.ones((3, 3))) & (grown[around] == 0)
         grown[around][edge & (rise[around] > half)] = number
     return grown

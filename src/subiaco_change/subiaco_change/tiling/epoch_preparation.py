@@ -127,7 +127,7 @@ def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
     height = xyz[:, 2] - ground.height(xyz[:, :2])
     moved = trail_probability(xyz, height, config.trail_shape)
     probability = with_times(moved[: len(own)], points.moving).astype(np.float32)
-    count = np.ones(len(own), dtype=np.int64) if points.count is None else points.count
+    count = np.ones(len(own), np.int64) if points.count is None else points.count.astype(np.int64)
     density = ground_density(own + side.origin, height[: len(own)], count)
     return TileTrails(probability, count_columns(xyz[: len(own)], side.spacing), density)
 

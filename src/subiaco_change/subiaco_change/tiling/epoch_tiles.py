@@ -226,8 +226,7 @@ def cut_cloud(
             inputs[name] = runner.put("input", name, every)
         sizes[name] = len(thin)
         count = np.bincount(voxel, minlength=len(thin)).astype(np.uint32)
-        cut = TilePoints(thin.xyz, *(thin.fields.get(f) for f in FIELDS), count)
-        keys[name] = runner.put("cut", name, cut)
+        keys[name] = runner.put("cut", name, TilePoints(thin.xyz, **thin.fields, count=count))
         spacings.append(neighbour_spacings(thin.xyz))
     return CutCloud(keys, inputs, sizes, low, high, points, sum(sizes.values()), joint_spacing(spacings))
 
