@@ -26,7 +26,7 @@ ORDER = {
     ],
     "subiaco_change": [
         "records", "request", "extensions", "given_classes", "input_checks",
-        "method_numbers", "method_rules", "geometry", "quantiles", "view_from_above",
+        "method_numbers", "method_rules", "geometry", "quantiles", "view_from_above", "survey_places",
         "visibility_tests", "visibility_evidence",
         "segmentation", "objects", "point_spacing",
         "registration", "level_of_detection",

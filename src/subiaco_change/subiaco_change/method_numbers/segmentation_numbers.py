@@ -229,7 +229,7 @@ class SurveyPlacesNumbers(StrictModel):
         0.95, description="Smallest density of a place of the sensor as a ratio to the largest one around"
     )
     cap_percentile: float = Field(
-        95.0, description="Density up to which cells count, as a percentile of the cells [%]"
+        95.0, description="Density up to which cells count, as a percentile of the cells [1]"
     )
     filled_share: float = Field(
         0.3, description="Smallest density of the cell of a place as a ratio to the largest one that counts"
