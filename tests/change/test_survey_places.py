@@ -87,6 +87,11 @@ def test_a_cloud_that_was_thinned_to_one_density_does_not_tell(points: int) -> N
     assert len(survey_places([ground])) == 0
 
 
+def test_a_site_that_was_scanned_from_one_spot_shows_no_way() -> None:
+    ground = ground_around(bent_street(6.0, 0.0, 0.0), 4)
+    assert len(survey_places([ground])) == 0
+
+
 def test_no_ground_gives_no_places() -> None:
     none = ground_density(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64))
     assert survey_places([none]).shape == (0, 3)

@@ -31,6 +31,7 @@ _ROUNDS = NUMBERS.survey_places.rounds
 _APART = NUMBERS.survey_places.apart
 _GAP = NUMBERS.survey_places.gap
 _GAP_DENSITY = NUMBERS.survey_places.gap_density
+_LEAST = NUMBERS.survey_places.least_places
 _BESIDE = NUMBERS.survey_places.beside
 _BESIDE_DENSITY = NUMBERS.survey_places.beside_density
 _SENSOR = NUMBERS.survey_places.sensor_height
@@ -106,7 +107,7 @@ def survey_places(parts: Sequence[GroundDensity]) -> Floats:
     strip = np.argwhere((mean >= _DENSEST * densest) & (dense >= _FILLED * cap))
     plan = _closed(_thinned(_middle(strip.astype(np.float64) + 0.5)), mean)
     centre = cell - first + 0.5
-    if not _stands_out(plan, centre, points):
+    if len(plan) < _LEAST or not _stands_out(plan, centre, points):
         return np.zeros((0, 3))
     level = np.concatenate([part.level for part in parts])[cKDTree(centre).query(plan)[1]]
     return np.column_stack([(plan + first) * _CELL, level + _SENSOR])

@@ -240,6 +240,9 @@ class SurveyPlacesNumbers(StrictModel):
     gap_density: float = Field(
         0.7, description="Smallest density of the ground in a gap as a ratio to that at its ends"
     )
+    least_places: int = Field(
+        10, description="Smallest number of places of a street survey; a site scanned by hand shows few"
+    )
     beside: tuple[float, float] = Field(
         (15.0, 25.0), description="Distances from the places between which the ground must be less dense [m]"
     )
