@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -40,7 +42,9 @@ def ground_around(drive: Floats, seed: int, *, slope: float = 0.03, thinned: flo
     kept = ~houses & (distance < 40.0) & (rng.random(len(cell)) < 0.9)
     shift = np.round(ORIGIN / CELL)
     points = np.minimum(points, int(min(thinned, 1e9)))
-    return GroundDensity((cell + shift)[kept].astype(np.int64), points[kept], slope * centre[kept, 0] + 10.0)
+    left = np.minimum(points, 64)
+    level = slope * centre + 10.0
+    return GroundDensity((cell + shift)[kept].astype(np.int64), points[kept], left[kept], level[kept, 0])
 
 
 @given(
@@ -67,7 +71,7 @@ def test_a_vehicle_that_waited_does_not_hide_the_rest_of_its_way() -> None:
     ground = ground_around(drive, 1)
     centre = (ground.cell + 0.5) * CELL - np.round(ORIGIN / CELL) * CELL
     waited = np.hypot(*(centre - drive[60]).T) < 8.0
-    crowded = GroundDensity(ground.cell, np.where(waited, 40 * ground.points, ground.points), ground.level)
+    crowded = replace(ground, points=np.where(waited, 40 * ground.points, ground.points))
     places = survey_places([crowded])[:, :2] - np.round(ORIGIN / CELL) * CELL
     assert np.max(cKDTree(places).query(drive[15:-15])[0]) < 12.0
 
@@ -76,12 +80,13 @@ def test_tiles_together_give_the_places_of_the_whole() -> None:
     ground = ground_around(bent_street(160.0, 0.0, 0.2), 2)
     west = ground.cell[:, 0] < np.median(ground.cell[:, 0])
     halves = [
-        GroundDensity(ground.cell[part], ground.points[part], ground.level[part]) for part in (west, ~west)
+        GroundDensity(ground.cell[p], ground.points[p], ground.thinned[p], ground.level[p])
+        for p in (west, ~west)
     ]
     np.testing.assert_array_equal(survey_places(halves), survey_places([ground]))
 
 
-@pytest.mark.parametrize("points", [16, 64])
+@pytest.mark.parametrize("points", [16, 64, 200])
 def test_a_cloud_that_was_thinned_to_one_density_does_not_tell(points: int) -> None:
     ground = ground_around(bent_street(200.0, 0.4, 0.0), 3, thinned=points)
     assert len(survey_places([ground])) == 0
@@ -103,4 +108,5 @@ def test_points_on_the_ground_are_counted_as_often_as_the_cloud_had_them() -> No
     found = ground_density(xyz, np.array([0.0, 0.1, 1.9, -0.1]), np.array([4, 2, 9, 1]))
     np.testing.assert_array_equal(found.cell, [[0, 0], [1, 0]])
     np.testing.assert_array_equal(found.points, [6, 1])
+    np.testing.assert_array_equal(found.thinned, [2, 1])
     np.testing.assert_allclose(found.level, [5.1, 5.1])

@@ -2,7 +2,7 @@
 
 Beams meet the ground at ever flatter angles, so that the points of one sweep thin out with the distance. Seen
 from a street the densest strip of ground is the carriageway that was driven. Of a cloud whose points were
-thinned to one density, or measured from above, no strip stands out, and nothing is said.
+thinned to one density, or measured from above, none stands out for certain, and nothing is said.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ _GAP = NUMBERS.survey_places.gap
 _GAP_DENSITY = NUMBERS.survey_places.gap_density
 _LEAST = NUMBERS.survey_places.least_places
 _BESIDE = NUMBERS.survey_places.beside
+_FINE = NUMBERS.survey_places.fineness
 _BESIDE_DENSITY = NUMBERS.survey_places.beside_density
 _SENSOR = NUMBERS.survey_places.sensor_height
 
@@ -47,12 +48,15 @@ class GroundDensity:
         Column and row of a cell in the world.
     points : (M,) int64
         Points of the cloud on the ground there, before they were thinned.
+    thinned : (M,) int64
+        What was left of them at the working leaf.
     level : (M,) float64
         Mean height of the ground there [m].
     """
 
     cell: Ints
     points: Ints
+    thinned: Ints
     level: Floats
 
 
@@ -79,8 +83,10 @@ def ground_density(xyz: Floats, height: Floats, count: Ints) -> GroundDensity:
     cell, slot = np.unique(np.floor(xyz[low, :2] / _CELL).astype(np.int64), axis=0, return_inverse=True)
     slot = slot.ravel()
     points = np.bincount(slot, count[low], len(cell)).astype(np.int64)
-    level = np.bincount(slot, xyz[low, 2], len(cell)) / np.bincount(slot, minlength=len(cell))
-    return GroundDensity(cell.reshape(-1, 2), points, level)
+    thinned = np.bincount(slot, minlength=len(cell))
+    return GroundDensity(
+        cell.reshape(-1, 2), points, thinned, np.bincount(slot, xyz[low, 2], len(cell)) / thinned
+    )
 
 
 def survey_places(parts: Sequence[GroundDensity]) -> Floats:
@@ -107,7 +113,8 @@ def survey_places(parts: Sequence[GroundDensity]) -> Floats:
     strip = np.argwhere((mean >= _DENSEST * densest) & (dense >= _FILLED * cap))
     plan = _closed(_thinned(_middle(strip.astype(np.float64) + 0.5)), mean)
     centre = cell - first + 0.5
-    if len(plan) < _LEAST or not _stands_out(plan, centre, points):
+    thinned = np.concatenate([part.thinned for part in parts])
+    if len(plan) < _LEAST or not _stands_out(cKDTree(plan).query(centre)[0] * _CELL, points, thinned):
         return np.zeros((0, 3))
     level = np.concatenate([part.level for part in parts])[cKDTree(centre).query(plan)[1]]
     return np.column_stack([(plan + first) * _CELL, level + _SENSOR])
@@ -165,14 +172,13 @@ def _values(raster: Floats, places: Floats) -> Floats:
     return np.asarray(raster[column, row])
 
 
-def _stands_out(plan: Floats, centre: Floats, points: Floats) -> bool:
-    """Tell whether the ground at places (K, 2) is denser than beside them.
+def _stands_out(distance: Floats, points: Floats, thinned: Ints) -> bool:
+    """Tell whether the ground at the places of the sensor is denser than beside them, whatever thinned it.
 
-    ``centre`` (M, 2) of the cells with ``points`` (M,) on the ground; in cells, like the places.
+    ``distance`` (M,) of the cells from the places [m]; of their ground ``points`` (M,) before and ``thinned``
+    (M,) after thinning.
     """
-    distance = cKDTree(plan).query(centre)[0] * _CELL
-    beside = (distance >= _BESIDE[0]) & (distance < _BESIDE[1])
-    at = distance < _CELL
-    if not beside.any() or not at.any():
+    beside, at = (distance >= _BESIDE[0]) & (distance < _BESIDE[1]), distance < _CELL
+    if not beside.any() or points[at].sum() < _FINE * max(thinned[at].sum(), 1):
         return False
     return bool(np.median(points[beside]) <= _BESIDE_DENSITY * np.median(points[at]))

@@ -243,6 +243,11 @@ class SurveyPlacesNumbers(StrictModel):
     least_places: int = Field(
         10, description="Smallest number of places of a street survey; a site scanned by hand shows few"
     )
+    fineness: float = Field(
+        4.0,
+        description="Smallest number of points of the cloud on the ground at the places as a ratio to those "
+        "at the working leaf; a cloud that was thinned to about the leaf does not tell",
+    )
     beside: tuple[float, float] = Field(
         (15.0, 25.0), description="Distances from the places between which the ground must be less dense [m]"
     )
