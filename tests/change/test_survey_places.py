@@ -41,7 +41,7 @@ def ground_around(drive: Floats, seed: int, *, slope: float = 0.03, thinned: flo
     houses = (np.mod(centre[:, 0], 18.0) < 10.0) & (distance > 12.0)
     kept = ~houses & (distance < 40.0) & (rng.random(len(cell)) < 0.9)
     shift = np.round(ORIGIN / CELL)
-    points = np.minimum(points, int(min(thinned, 1e9)))
+    points = np.minimum(points, thinned).astype(np.int64)
     left = np.minimum(points, 64)
     level = slope * centre + 10.0
     return GroundDensity((cell + shift)[kept].astype(np.int64), points[kept], left[kept], level[kept, 0])

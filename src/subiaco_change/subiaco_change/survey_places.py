@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import pdist, squareform
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.free_space.expected_visibility import places_apart
 
 _CELL = NUMBERS.survey_places.cell
 _GROUND = NUMBERS.survey_places.ground_height
@@ -111,7 +111,8 @@ def survey_places(parts: Sequence[GroundDensity]) -> Floats:
     mean = ndimage.convolve(dense, weights, mode="constant")
     densest = ndimage.maximum_filter(mean, footprint=_disc(_COMPARED), mode="constant")
     strip = np.argwhere((mean >= _DENSEST * densest) & (dense >= _FILLED * cap))
-    plan = _closed(_thinned(_middle(strip.astype(np.float64) + 0.5)), mean)
+    middle = _middle(strip.astype(np.float64) + 0.5)
+    plan = _closed(middle[places_apart(middle, _APART / _CELL)], mean)
     centre = cell - first + 0.5
     thinned = np.concatenate([part.thinned for part in parts])
     if len(plan) < _LEAST or not _stands_out(cKDTree(plan).query(centre)[0] * _CELL, points, thinned):
@@ -142,20 +143,13 @@ def _on_axis(place: Floats, around: Floats) -> Floats:
     return np.asarray(centre + ((place - centre) @ axis) * axis)
 
 
-def _thinned(line: Floats) -> Floats:
-    """Keep of places (M, 2) in cells those that are not close to one that is kept."""
-    kept = np.ones(len(line), dtype=bool)
-    for index, around in enumerate(cKDTree(line).query_ball_point(line, _APART / _CELL)):
-        kept[index] = not any(kept[other] for other in around if other < index)
-    return line[kept]
-
-
 def _closed(line: Floats, mean: Floats) -> Floats:
     """Add places to a line (M, 2), in cells, in gaps where the ground is about as dense."""
     if len(line) < 2:
         return line
-    distance = squareform(pdist(line))
-    tree = minimum_spanning_tree(np.where(distance <= _GAP / _CELL, distance, 0.0)).tocoo()
+    index = cKDTree(line)
+    near = index.sparse_distance_matrix(index, _GAP / _CELL, output_type="coo_matrix")
+    tree = minimum_spanning_tree(near).tocoo()
     lines = [line]
     for one, other, length in zip(tree.row.tolist(), tree.col.tolist(), tree.data.tolist(), strict=True):
         share = np.linspace(0.0, 1.0, int(length * _CELL / _APART) + 1)[1:-1, None]

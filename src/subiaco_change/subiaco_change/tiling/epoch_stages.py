@@ -32,7 +32,7 @@ from subiaco_change.registration.pair import (
     refuse_height_offset,
     shares_origin,
 )
-from subiaco_change.survey_places import SensorPlaces, survey_places
+from subiaco_change.survey_places import GroundDensity, SensorPlaces, survey_places
 from subiaco_change.tiling.alignment import StatedPoses
 from subiaco_change.tiling.epoch_preparation import (
     LevellingParams,
@@ -61,7 +61,7 @@ from subiaco_change.tiling.registration_stage import RegistrationParams, Registr
 from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, MergingParams, recut_tile, unite
 from subiaco_change.tiling.stage_inputs import PairRegistration, in_frame, slice_of
 from subiaco_change.tiling.tile_segmentation import SegmentationParams, SegmentationSlice, prepare_tile
-from subiaco_change.view_from_above import seen_from_above
+from subiaco_change.view_from_above import ColumnCounts, seen_from_above
 from subiaco_change.visibility_evidence import EvidenceKind, evidence_kind
 from subiaco_geo.clouds import distance_to_box
 from subiaco_geo.crs import Transform, transformer
@@ -295,9 +295,10 @@ class Epochs:
                 self.beam_edge[name], self.beams[name] = _BEAMS * self.size, beams.keys
                 side = replace(side, beams_crs=other, corner=beams.corner, voxel=beams.voxel)
         elif kind == "shadow":
-            side = replace(side, from_above=self._from_above(name))
+            columns, ground = self._shape(name)
+            side = replace(side, from_above=seen_from_above(columns))
             if config.source == "auto" and not side.from_above:
-                side = self._from_places(side, cut)
+                side = self._from_places(side, cut, survey_places(ground))
         elif kind == "trajectory" and way is not None:
             _refuse_elsewhere(_named(name, epoch, "trajectory_file"), way, cut, config.poses.max_range)
             side = replace(side, corner=occupied_corner(cut.low, config.poses))
@@ -317,11 +318,9 @@ class Epochs:
         view = described_view(epoch.info) or estimate_view(self._needs(side, views), config)
         return with_blind_arcs(view, way.poses, np.concatenate(columns), config)
 
-    def _from_places(self, side: EpochContext, cut: CutCloud) -> EpochContext:
-        """Estimate where the sensor of a bare cloud was, if its ground tells, and what it saw from there."""
+    def _from_places(self, side: EpochContext, cut: CutCloud, places: Floats) -> EpochContext:
+        """Find what the sensor of a bare cloud saw from estimated places (K, 3), if there are any."""
         name, config = side.epoch, self.config.evidence.poses
-        ground = [self.runner.load(TileTrails, key).ground for _, key in sorted(self.trails[name].items())]
-        places = survey_places(ground)
         if len(places) == 0:
             return side
         _LOG.info("%s: places of the sensor estimated from the ground: %d", name, len(places))
@@ -348,10 +347,11 @@ class Epochs:
             )
         return [self.runner.load(ViewHistogram, key) for key in self.runner.run(tasks, (0.05, 0.06)).values()]
 
-    def _from_above(self, name: str) -> bool:
-        """Tell whether the cloud of an epoch was measured from above."""
-        keys = (key for _, key in sorted(self.trails[name].items()))
-        return seen_from_above(self.runner.load(TileTrails, key).columns for key in keys)
+    def _shape(self, name: str) -> tuple[list[ColumnCounts], list[GroundDensity]]:
+        """Return what the columns and the ground of the tiles of an epoch hold."""
+        tiles = (self.runner.load(TileTrails, key) for _, key in sorted(self.trails[name].items()))
+        pairs = [(tile.columns, tile.ground) for tile in tiles]
+        return [columns for columns, _ in pairs], [ground for _, ground in pairs]
 
     def _trails(self, side: EpochContext) -> dict[str, str]:
         """Tell ghost trails by their shape, where nothing counted beams."""

@@ -192,14 +192,16 @@ def _label(
 
 
 def _sensor(inputs: Inputs, cloud: PointCloud) -> Floats:
-    """Return places of the sensor (K, 3) around a cloud, in its frame [m]; none without a survey path."""
+    """Return places of the sensor (K, 3) around a cloud, in its frame [m]; none if they are not known."""
     path, estimated = inputs.find(SurveyPath, "path"), inputs.find(SensorPlaces, "places")
-    if len(cloud) == 0 or (path is None and estimated is None):
-        return np.zeros((0, 3))
+    places = np.zeros((0, 3))
     if path is not None:
-        places = path.positions[sample_poses(path.positions, SENSOR_STEP)] - cloud.origin
+        places = path.positions[sample_poses(path.positions, SENSOR_STEP)]
     elif estimated is not None:
-        places = estimated.xyz - cloud.origin
+        places = estimated.xyz
+    if len(cloud) == 0 or len(places) == 0:
+        return np.zeros((0, 3))
+    places = places - cloud.origin
     low, high = cloud.xyz[:, :2].min(axis=0) - LOOKED_FROM, cloud.xyz[:, :2].max(axis=0) + LOOKED_FROM
     return np.asarray(places[((places[:, :2] > low) & (places[:, :2] < high)).all(axis=1)])
 

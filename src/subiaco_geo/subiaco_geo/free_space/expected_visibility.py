@@ -114,11 +114,15 @@ def sample_poses(positions: Floats, spacing: float) -> Ints:
         return np.zeros(0, dtype=np.int64)
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     _, first = np.unique(np.floor(way / spacing), return_index=True)
-    near = cKDTree(positions[first]).query_ball_point(positions[first], 0.5 * spacing)
-    kept = np.ones(len(first), dtype=bool)
-    for index, around in enumerate(near):
+    return np.asarray(first[places_apart(positions[first], 0.5 * spacing)], dtype=np.int64)
+
+
+def places_apart(places: Floats, distance: float) -> NDArray[np.bool_]:
+    """Tell which places (M, D), in order, are farther than a distance from every one that was kept before."""
+    kept = np.ones(len(places), dtype=bool)
+    for index, around in enumerate(cKDTree(places).query_ball_point(places, distance)):
         kept[index] = not any(kept[other] for other in around if other < index)
-    return np.asarray(first[kept], dtype=np.int64)
+    return kept
 
 
 def point_spacing(xyz: Floats, sample: int = 4000) -> float:
