@@ -103,6 +103,25 @@ def test_a_half_of_a_pair_is_a_house_and_a_shorter_part_of_a_house_is_not():
     assert changed(before[:20], np.where(np.arange(20) < 10, 6.0, 0.0)) == []  # a house that lost its half
 
 
+@pytest.mark.parametrize("sign", [1, -1], ids=["built", "taken off"])
+def test_a_house_that_rose_beside_its_own_carport_is_no_house_of_a_row(sign):
+    for beside, places in ((2.6, []), (4.6, [0, 1])):
+        rows = [np.repeat([top, beside], [20, 12]) for top in (5.0, 7.5)]
+        assert changed(*rows[::sign]) == places
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["built", "taken off"])
+def test_a_house_of_which_hardly_anything_was_seen_to_rise_in_its_middle_is_one_house(sign):
+    """All of its top rose, but most of the middle was hidden from the other epoch."""
+    before, after = np.full(36, 5.0), np.full(36, 7.5)
+
+    def shown(voxels):
+        middle = (voxels.xyz[:, 0] >= 6.0) & (voxels.xyz[:, 0] < 12.0)
+        return ~middle | (voxels.height < 3.0) | (voxels.xyz[:, 1] > DEPTH - CELL)
+
+    assert changed(*(before, after)[::sign], shown) == []
+
+
 def fronts(tops, other):
     """Voxels of a row of tall houses: of fronts the ``other`` epoch saw free what exceeds its own tops.
 

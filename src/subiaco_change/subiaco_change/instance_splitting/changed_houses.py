@@ -7,8 +7,10 @@ and much where one did.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -268,9 +270,10 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     that was reshaped.
     """
     kind = _kinds(sides)
-    same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known)
+    rise = np.maximum(sides[0].step, sides[1].step)
+    same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known) & (_smoothed(rise) <= _SAME)
     gone = np.isin(kind, _ONLY + _BUT_FOOT)
-    step = np.where(gone, np.inf, np.maximum(sides[0].step, sides[1].step))
+    step = np.where(gone, np.inf, rise)
     built = (sides[0].top > 0) & (sides[1].top > 0) & ~gone & (kind != _PARTLY)
     most = np.maximum(*(np.where(gone, side.alone, side.above) for side in sides))
     tall = np.maximum(sides[0].top, sides[1].top) >= _TALL
@@ -284,12 +287,17 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
 
 
 def _houses_of(row: _Row, changed: Mask, beside: Mask) -> list[_Stretch]:
-    """Find the houses in changed slots (S,) of a row, next to slots that they may lie ``beside``."""
+    """Find the houses in changed slots (S,) of a row, next to slots that they may lie ``beside``.
+
+    What is much lower than a house that both epochs have is its carport, and no house beside it.
+    """
     houses: list[_Stretch] = []
+    lower, higher = (reduce(which, (side.top for side in row.sides)) for which in (np.minimum, np.maximum))
     for begin, end in _runs(_clearly(row.share, changed)):
+        alike = beside & (higher >= _LEAST * np.median(lower[begin:end]))
         walls = (
-            _is_wall(beside[max(begin - _WIDTH, 0) : begin][::-1], row.step[begin:end]),
-            _is_wall(beside[end : end + _WIDTH], row.step[begin:end][::-1]),
+            _is_wall(alike[max(begin - _WIDTH, 0) : begin][::-1], row.step[begin:end]),
+            _is_wall(alike[end : end + _WIDTH], row.step[begin:end][::-1]),
         )
         if row.share[begin:end].mean() < _CLEAR or not any(walls):
             continue
@@ -395,7 +403,9 @@ def _is_wall(same: Mask, step: Floats) -> bool:
     ``same``: which slots beside it, the nearest first, did not change; ``step``: of the stretch, from that
     side on [m].
     """
-    sudden = step[:2].max() >= _SUDDEN * np.median(step)
+    rose = step[np.isfinite(step)]
+    usual = float(np.median(rose)) if len(rose) else math.inf
+    sudden = step[:2].max() >= _SUDDEN * usual
     return bool(sudden and same[:2].any() and _is_house_wide(same))
 
 
