@@ -31,14 +31,31 @@ def scatter(low: tuple[float, float, float], high: tuple[float, float, float], c
     return np.random.default_rng(seed).uniform(low, high, (count, 3))
 
 
-def decide(free: np.ndarray, walls: np.ndarray, sensor: np.ndarray = SENSOR) -> np.ndarray:
+def decide(free: np.ndarray, walls: np.ndarray, sensor: np.ndarray = SENSOR, upon: int = 0) -> np.ndarray:
+    """Decide about free points; the last ``upon`` points of the walls are a roof."""
     xyz = np.concatenate([walls, free])
     wall = np.arange(len(xyz)) < len(walls)
-    return inside_facades(xyz, xyz[:, 2], wall, ~wall, sensor)[len(walls) :]
+    upright = wall & (np.arange(len(xyz)) < len(walls) - upon)
+    return inside_facades(xyz, xyz[:, 2], wall, upright, ~wall, sensor)[len(walls) :]
 
 
 def test_furniture_behind_windows_is_inside() -> None:
     assert decide(scatter((2, 9.5, 0.3), (10, 14, 2.4), 400, 1), facade()).mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("width", "roofed", "inside"), [(3.0, True, True), (5.5, True, False), (3.0, False, False)]
+)
+def test_a_gap_between_walls_is_an_opening_if_it_is_below_a_roof_and_no_wider_than_a_door(
+    width, roofed, inside
+):
+    """A front with glass from the floor to the eaves; without eaves two houses stand beside a gap."""
+    walls = facade(top=2.8, window=False)
+    glass = (walls[:, 1] == 8.0) & (np.abs(walls[:, 0] - 6.0) < width / 2)
+    x, y = np.meshgrid(np.arange(0.0, 12.0, 0.2), np.arange(7.6, 9.0, 0.2))
+    eaves = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 2.9)])[: None if roofed else 0]
+    room = scatter((4.8, 9.5, 0.3), (7.2, 12.0, 2.3), 300, 7)
+    assert (decide(room, np.concatenate([walls[~glass], eaves]), upon=len(eaves)).mean() > 0.9) == inside
 
 
 @pytest.mark.parametrize(

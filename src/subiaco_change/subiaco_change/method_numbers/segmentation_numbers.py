@@ -53,6 +53,9 @@ class BuildingInteriorsNumbers(StrictModel):
         0.9, description="Fraction of the places of the sensor from which a point behind walls is hidden"
     )
     lowest_wall: float = Field(2.2, description="Smallest height of a wall of a building, that of a room [m]")
+    opening: float = Field(
+        4.0, description="Largest width of a window or a door below the roof of a building [m]"
+    )
 
 
 class RaisedGroundNumbers(StrictModel):

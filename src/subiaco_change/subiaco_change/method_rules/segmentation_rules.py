@@ -228,6 +228,7 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
             "method_numbers.building_interiors.close",
             "method_numbers.building_interiors.hidden",
             "method_numbers.building_interiors.lowest_wall",
+            "method_numbers.building_interiors.opening",
             "method_numbers.point_labels.interior_reach",
         ),
     ),

@@ -8,6 +8,8 @@ facade is farther away.
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numba
 import numpy as np
 
@@ -25,11 +27,15 @@ _DEEP = NUMBERS.building_interiors.deepest
 _ROOM = NUMBERS.building_interiors.close
 _HIDDEN = NUMBERS.building_interiors.hidden
 _LOWEST = NUMBERS.building_interiors.lowest_wall
+_OPENING = round(NUMBERS.building_interiors.opening / _CELL)
+_DIRECTIONS = 16  # of walls, seen from above
 _LEVELS = 62  # heights of one metre that a number of 64 bits can hold
 
 
 @switchable("building_interiors", none_of_them)
-def inside_facades(xyz: Floats, height: Floats, facade: Mask, free: Mask, sensor: Floats) -> Mask:
+def inside_facades(
+    xyz: Floats, height: Floats, building: Mask, facade: Mask, free: Mask, sensor: Floats
+) -> Mask:
     """Tell which free points lie inside buildings.
 
     Parameters
@@ -38,8 +44,8 @@ def inside_facades(xyz: Floats, height: Floats, facade: Mask, free: Mask, sensor
         Local, z up [m].
     height : (N,) float64
         Above the ground [m].
-    facade : (N,) bool
-        Points of the walls of buildings.
+    building, facade : (N,) bool
+        Points of buildings, and those of their walls.
     free : (N,) bool
         Points to decide about.
     sensor : (K, 3) float64
@@ -67,6 +73,7 @@ def inside_facades(xyz: Floats, height: Floats, facade: Mask, free: Mask, sensor
     np.maximum.at(highest, tuple(cell[tall, :2].T), cell[tall, 2])
     # openings are lower than a storey, and above the top of a wall is the sky
     walls |= ((walls << 1) | (walls >> 1)) & ((np.int64(2) << highest) - 1)
+    walls |= _across_openings(walls) & _below_roofs(cell, height, building, shape)
     key = (cell[some, 0] * shape[1] + cell[some, 1]) * _LEVELS + cell[some, 2]
     places, place = np.unique(key, return_inverse=True)
     column, level = np.divmod(places, _LEVELS)
@@ -76,6 +83,27 @@ def inside_facades(xyz: Floats, height: Floats, facade: Mask, free: Mask, sensor
     hidden = _are_hidden(start, eyes, walls, reach, 1.0 - _HIDDEN, _ROOM)
     found[some] = hidden[place]
     return found
+
+
+def _across_openings(walls: Ints) -> Ints:
+    """Levels (I, J) of walls with the openings between walls of one line, in any direction."""
+    half = _OPENING // 2
+    padded = np.pad(walls, half)
+    closed = padded.copy()
+    for angle in np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS:
+        along = np.outer(np.arange(-half, half + 1), (np.cos(angle), np.sin(angle)))
+        ways = np.round(along).astype(int).tolist()
+        wide = reduce(np.bitwise_or, (np.roll(padded, way, axis=(0, 1)) for way in ways))
+        closed |= reduce(np.bitwise_and, (np.roll(wide, way, axis=(0, 1)) for way in ways))
+    return closed[half:-half, half:-half]
+
+
+def _below_roofs(cell: Ints, height: Floats, building: Mask, shape: tuple[int, ...]) -> Ints:
+    """Levels (I, J) of columns up to the top of a building, if that is as high as a room."""
+    roof = building & (height >= _LOWEST)
+    top = np.full(shape, -1)
+    np.maximum.at(top, tuple(cell[roof, :2].T), cell[roof, 2])
+    return np.where(top < 0, 0, (np.int64(2) << np.maximum(top, 0)) - 1)
 
 
 @numba.njit(cache=True)

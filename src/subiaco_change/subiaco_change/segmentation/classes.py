@@ -252,7 +252,7 @@ def _classify(
     below, apart = within_roofs(xyz, core, features, rest, config.buildings)
     is_building = attach_parts(xyz, core | below, rest & ~apart, foliage, config.buildings)
     steep = np.abs(features.normals[:, 2]) < config.buildings.facade_slope
-    interior = inside_facades(xyz, height, core & steep, rest & ~core, sensor)
+    interior = inside_facades(xyz, height, core, core & steep, rest & ~core, sensor)
     semantic[is_building | interior] = Semantic.BUILDING
     rest &= ~(is_building | interior)
     rest &= ~thin_runs(xyz, height, features.roughness, rest & ~foliage, config.buildings)
