@@ -7,7 +7,8 @@
 
 DATA holds ``kitti_scans`` (drive 0005) and ``kitti_drive_0027`` (``$SUBIACO_TEST_DATA``). Parts of the sweeps
 become bags, each is mapped by ``subiaco map`` on its own (maps are kept in the output folder and used again),
-and pairs of maps are compared at the default settings. Drive 0005 has deskewed scans and no fixes: where the
+and pairs of maps are compared at the default settings; the ``fine`` pairs are bare clouds with a point every
+0.08 m, as other fusions write them. Drive 0005 has deskewed scans and no fixes: where the
 registration refuses a pair, the pair is compared at the transformation of the scans' reference poses, and the
 table says so. Drive 0027 has sweeps as they were recorded, times of points, and fixes.
 """
@@ -72,6 +73,7 @@ def second_rings(xyz: Floats) -> Mask:
 
 
 COARSE = ("fusion.leaf=0.5",)
+FINE = ("fusion.leaf=0.08",)
 PARTS = {
     "even": Part(range(0, 77, 2)),
     "odd": Part(range(1, 77, 2)),
@@ -81,6 +83,10 @@ PARTS = {
     "behind": Part(range(77), behind),
     "rings": Part(range(1, 77, 2), second_rings),
     "coarse": Part(range(1, 77, 2), None, COARSE),
+    "fine_first": Part(range(45), None, FINE),
+    "fine_second": Part(range(32, 77), None, FINE),
+    "fine_ahead": Part(range(77), ahead, FINE),
+    "fine_behind": Part(range(77), behind, FINE),
 }
 #: The same shares of drive 0027; every second ring is chosen by the laser.
 PARTS_0027 = {
@@ -92,6 +98,10 @@ PARTS_0027 = {
     "behind": Part(range(188), behind),
     "rings": Part(range(1, 188, 2), every_ring=2),
     "coarse": Part(range(1, 188, 2), None, COARSE),
+    "fine_first": Part(range(110), None, FINE),
+    "fine_second": Part(range(78, 188), None, FINE),
+    "fine_ahead": Part(range(188), ahead, FINE),
+    "fine_behind": Part(range(188), behind, FINE),
 }
 #: Parts of *before* and of *after*, and what of their maps is compared.
 _PARTS = {
@@ -105,6 +115,8 @@ PAIRS = {
     "leaf": ("even", "coarse", "map"),
     **{f"bare_{name}": (*parts, "bare") for name, parts in _PARTS.items()},
     **{f"trajectory_{name}": (*parts, "trajectory") for name, parts in _PARTS.items()},
+    "fine_halves": ("fine_first", "fine_second", "bare"),
+    "fine_ahead_behind": ("fine_ahead", "fine_behind", "bare"),
 }
 
 
@@ -256,7 +268,8 @@ def main() -> None:
             if r.change in REPORTED:
                 print(
                     f"  {r.semantic.label} {r.change.label} {r.confidence:.2f} n {r.n_before}/{r.n_after}"
-                    f" seen {r.observed_fraction:.2f} at {r.x:.1f} {r.y:.1f} {r.z:.1f}: {r.reason}"
+                    f" seen {r.observed_fraction:.2f} ({r.evidence})"
+                    f" at {r.x:.1f} {r.y:.1f} {r.z:.1f}: {r.reason}"
                 )
     print("\n".join(table))
 

@@ -59,7 +59,7 @@ class ChangeRecord:
     d_perp_m: float
     lod95_m: float
     observed_fraction: float
-    evidence: str  # observed, trajectory, shadow, assumed
+    evidence: str  # observed, trajectory, estimated, shadow, assumed
     score_paper: float
     confidence: float
     n_before: int

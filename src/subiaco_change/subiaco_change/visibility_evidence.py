@@ -52,7 +52,7 @@ class EvidenceConfig(StrictModel):
     source: Literal["auto", "observed", "trajectory", "shadow", "assumed"] = Field(
         "auto",
         description="Evidence of free space; auto takes the best that the map has, in the order observed, "
-        "trajectory, shadow",
+        "trajectory, estimated, shadow",
     )
     min_beams: int = Field(
         1, ge=1, description="Number of beams from which a voxel of the visibility layer counts as observed"

@@ -27,6 +27,7 @@ from subiaco_change.decisions.split_merge import (
     split_row_houses,
     unify_classes,
 )
+from subiaco_change.decisions.standing_trunks import join_standing_trunks
 from subiaco_change.instance_splitting.felled_crowns import split_felled_crowns
 from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.instance_splitting.places_seen_free import places_seen_free
@@ -89,6 +90,7 @@ def compare_objects(
     changes = split_multi_body_matches(part_hardly_overlapping(changes, rules), rules)
     changes = split_row_houses(join_building_extensions(changes, rules), rules)
     changes = join_hedges_in_line(split_hedge_segments(changes, rules), rules)
+    changes = join_standing_trunks(changes, rules)
     changes = join_hidden_walls(changes, rules)
     changes = assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
     return join_hanging_parts(changes)

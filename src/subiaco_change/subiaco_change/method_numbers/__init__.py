@@ -17,6 +17,7 @@ from subiaco_change.method_numbers.association_numbers import (
     PlacesSeenFreeNumbers,
     RowsOfHousesNumbers,
     SplitMergeNumbers,
+    StandingTrunksNumbers,
     TreesOverShrubsNumbers,
     VehicleBodiesNumbers,
     VehiclePartsNumbers,
@@ -113,6 +114,7 @@ class MethodNumbers(StrictModel):
     felled_crowns: FelledCrownsNumbers = FelledCrownsNumbers()
     hedge_sections: HedgeSectionsNumbers = HedgeSectionsNumbers()
     hedges_in_line: HedgesInLineNumbers = HedgesInLineNumbers()
+    standing_trunks: StandingTrunksNumbers = StandingTrunksNumbers()
     merged_instances: MergedInstancesNumbers = MergedInstancesNumbers()
     one_epoch_parts: OneEpochPartsNumbers = OneEpochPartsNumbers()
     places_seen_free: PlacesSeenFreeNumbers = PlacesSeenFreeNumbers()

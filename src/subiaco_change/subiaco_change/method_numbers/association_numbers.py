@@ -207,6 +207,23 @@ class HedgesInLineNumbers(StrictModel):
     longer: float = Field(1.0, description="Length by which a piece must extend the hedge beside it [m]")
 
 
+class StandingTrunksNumbers(StrictModel):
+    """Numbers of ``decisions/standing_trunks.py``."""
+
+    width: float = Field(1.2, description="Largest width of the trunk of a tree, with what clings to it [m]")
+    foot: float = Field(
+        1.6, description="Height above the ground below which a trunk begins, seen over a car or a hedge [m]"
+    )
+    least_top: float = Field(
+        1.0, description="Smallest height of a trunk that was left standing; a felled tree leaves a stump [m]"
+    )
+    crown: float = Field(1.0, description="Height by which a tree must rise over the trunk [m]")
+    reach: float = Field(
+        0.3,
+        description="Distance of a trunk from the middle of the crown, as a fraction of the crown's radius",
+    )
+
+
 class MergedInstancesNumbers(StrictModel):
     """Numbers of ``instance_splitting/merged_instances.py``."""
 

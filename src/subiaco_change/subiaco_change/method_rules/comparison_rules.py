@@ -483,6 +483,18 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "standing_trunks",
+        _HERE,
+        "A tree of one epoch over a trunk that both epochs have was cut down to the trunk, or grew from it.",
+        (
+            "method_numbers.standing_trunks.width",
+            "method_numbers.standing_trunks.foot",
+            "method_numbers.standing_trunks.least_top",
+            "method_numbers.standing_trunks.crown",
+            "method_numbers.standing_trunks.reach",
+        ),
+    ),
+    Rule(
         "hedge_sections",
         _HERE,
         "A section of a hedge whose tops moved is a row of its own.",
