@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from small_clouds import write_street
 
+from subiaco_mapping.preprocessing.scan_spool import Spool
+
 Usage = namedtuple("Usage", "total used free")
 
 
@@ -29,6 +31,20 @@ def test_a_change_run_that_would_fill_the_disk_is_refused_once_the_points_are_kn
 def test_a_map_on_a_disk_without_room_is_refused_before_a_bag_is_read(refused, tmp_path, monkeypatch, survey):
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: Usage(10**9, 0, 1_000_000))
     refused(["map", survey / "before", "-o", tmp_path / "map"], "map: the map needs about", "1 MB left")
+
+
+def test_a_map_of_which_no_scan_found_room_on_the_disk_names_the_disk(refused, tmp_path, monkeypatch, survey):
+    write = Spool._write
+
+    def full(spool: Spool, parts: tuple[np.ndarray, ...]) -> None:
+        if any(len(part) for part in parts):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(spool, parts)
+
+    monkeypatch.setattr(Spool, "_write", full)
+    refused(
+        ["map", survey / "before", "-o", tmp_path / "map"], "the disk was full while all", "make room on it"
+    )
 
 
 def test_a_disk_that_fills_during_a_run_is_no_fault_of_ours(command, tmp_path, clouds, monkeypatch):
