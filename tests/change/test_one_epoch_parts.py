@@ -30,7 +30,7 @@ from subiaco_change.instance_splitting.building_extensions import (
 from subiaco_change.instance_splitting.merged_instances import split_by_bodies
 from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.method_rules.switches import rules_switched_off
-from subiaco_change.objects.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.objects.column_volumes import NO_COLUMNS, OpenGround, ground_columns
 from subiaco_change.objects.measures import MeasureConfig, Measures
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Change, Semantic
@@ -263,6 +263,30 @@ def test_a_garden_wall_that_is_of_one_object_with_a_house_makes_no_wing_of_it():
     next_house = voxels(np.concatenate([np.add(HOUSE, (20.0, 0.0, 0.0)), garden_wall]))
     wing = (NONE, moved(walls(4.5, 8, 3), 10.5))
     assert find_building_extensions([(next_house, next_house), (own, own), wing], CONFIG) == {2: 1}
+
+
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+@pytest.mark.parametrize(
+    ("closed", "met", "wing"), [(False, True, False), (True, True, True), (False, False, True)]
+)
+def test_a_roof_on_posts_is_no_wing_where_the_ground_below_it_was_met(closed, met, wing, taken_away):
+    """A wing with closed sides, and a roof whose sides nobody saw, may hold rooms."""
+    roof = block((10.0, 0.0, 2.25), (13.0, 6.0, 2.75))
+    posts = [block((12.5, y, 0.0), (12.75, y + 0.25, 2.25)) for y in (0.0, 5.5)]
+    sides = np.add(walls(3, 6, 2.5), (10.0, 0.0, 0.0))
+    part = voxels(np.concatenate([roof, *([sides] if closed else posts)]))
+    x, y = np.meshgrid(np.arange(9.75, 13.5, 0.25), np.arange(-0.25, 6.5, 0.25))
+    seen = ground_columns(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), 0.5)
+    pair, columns = (NONE, part), (NO_COLUMNS, seen if met else NO_COLUMNS)
+    if taken_away:
+        pair, columns = pair[::-1], columns[::-1]
+    found = find_building_extensions([(voxels(HOUSE), voxels(HOUSE)), pair], CONFIG, OpenGround(*columns))
+    assert bool(found) == wing
+    if not wing:
+        with rules_switched_off(("open_roofs",)):
+            assert find_building_extensions(
+                [(voxels(HOUSE), voxels(HOUSE)), pair], CONFIG, OpenGround(*columns)
+            )
 
 
 def test_a_crown_beside_a_house_is_no_wing_of_it_however_smooth_its_foliage():

@@ -15,6 +15,7 @@ from subiaco_change.geometry import in_box_around, in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
+from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.frames import Floats
@@ -40,6 +41,9 @@ _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
 _FOOT = NUMBERS.building_extensions.foot
+_THICK = NUMBERS.building_extensions.roof_band
+_ROOF = NUMBERS.building_extensions.roof_share
+_BARE = NUMBERS.building_extensions.bare_share
 _LAYER = NUMBERS.layers.share
 
 
@@ -68,7 +72,7 @@ def find_building_extensions(
     extensions: dict[int, int] = {}
     while True:
         apart = partial(_stands_apart, pairs=pairs, taken=extensions, config=config, ground=ground)
-        found = _touching_extensions(known, extensions, config, apart)
+        found = _touching_extensions(known, extensions, config, apart, ground)
         if not found:
             return extensions
         extensions |= found
@@ -115,6 +119,7 @@ def _touching_extensions(
     taken: dict[int, int],
     config: PartConfig,
     apart: Callable[[int, int], bool],
+    ground: OpenGround,
 ) -> dict[int, int]:
     """Map extensions to the hosts that they touch most closely, less those that are taken.
 
@@ -136,15 +141,23 @@ def _touching_extensions(
         nearest = min(keys)
         contact = [len(g) if key[0] == nearest[0] else 0 for g, key in zip(gaps, keys, strict=True)]
         host = hosts[keys.index(nearest)]
-        if _is_extension(pair[epoch], pairs[host], epoch, contact, config):
+        if _is_extension(pair[epoch], pairs[host], epoch, contact, config, ground.bare(epoch)):
             extensions[number] = host
     return extensions
 
 
 def _is_extension(
-    extension: Voxels, host: tuple[Voxels, Voxels], epoch: int, contact: Sequence[int], config: PartConfig
+    extension: Voxels,
+    host: tuple[Voxels, Voxels],
+    epoch: int,
+    contact: Sequence[int],
+    config: PartConfig,
+    bare: Empty,
 ) -> bool:
-    """Tell whether a part of one epoch alone is an extension of the building that the part touches most."""
+    """Tell whether a part of one epoch alone is an extension of the building that the part touches most.
+
+    ``bare`` tells of places (N, 2) whether that epoch met the ground there.
+    """
     body, other = host[epoch], host[1 - epoch]
     round_it = max(contact) >= _ROUND * len(extension)
     free = float(extension.observed_unoccupied.mean())
@@ -162,7 +175,7 @@ def _is_extension(
     if share >= config.subordinate and not round_it:
         stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
         return applies("part_as_large_as_building", stood)
-    if _is_elevated(extension, body):
+    if _is_elevated(extension, body) or _is_open_roof(extension, bare):
         return False
     beside_house = _share_above(extension, other) < _BESIDE and not round_it
     return not (beside_house and _is_taller(extension, body))
@@ -213,6 +226,13 @@ def _is_elevated(extension: Voxels, host: Voxels) -> bool:
     if extension.height.min() < max(_CAR, _UNDERSIDE * extension.height.max()):
         return False
     return _share_above(extension, host) < 0.5
+
+
+@switchable("open_roofs", never)
+def _is_open_roof(extension: Voxels, bare: Empty) -> bool:
+    """Tell a carport or a pergola from a wing: little stands below its roof, and the ground there was met."""
+    roof = extension.height > _top(extension) - _THICK
+    return bool(roof.mean() >= _ROOF and bare(extension.xyz[roof, :2]).mean() >= _BARE)
 
 
 @switchable("taller_neighbour", never)

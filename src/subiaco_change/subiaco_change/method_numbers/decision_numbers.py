@@ -135,6 +135,15 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Height above ground up to which a house reaches down [m]; what begins higher is part of "
         "another building",
     )
+    roof_band: float = Field(
+        0.75, description="Height below the top of a carport or a pergola that holds its roof [m]"
+    )
+    roof_share: float = Field(
+        0.6, description="Smallest fraction of a carport or a pergola that is its roof, and no post or wall"
+    )
+    bare_share: float = Field(
+        0.85, description="Fraction of the roof of a carport or a pergola below which the ground was met"
+    )
 
 
 class ColumnVolumesNumbers(StrictModel):

@@ -595,6 +595,17 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("method_numbers.building_extensions.underside",),
     ),
     Rule(
+        "open_roofs",
+        _HERE,
+        "A roof on posts beside a building, with the ground seen below it, is a carport or a pergola, and no"
+        " extension.",
+        (
+            "method_numbers.building_extensions.roof_band",
+            "method_numbers.building_extensions.roof_share",
+            "method_numbers.building_extensions.bare_share",
+        ),
+    ),
+    Rule(
         "taller_neighbour",
         _HERE,
         "A part half a storey taller than a building beside it is another house.",
