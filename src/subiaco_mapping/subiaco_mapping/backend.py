@@ -138,10 +138,22 @@ class MappingBackend:
         Returns
         -------
         SurveyMap
+
+        Raises
+        ------
+        InputError
+            No scans, or none for whose points the disk had room.
         """
         report = progress or silent
+        sequences = self._filled()
+        spools = [sequence.spool for sequence in sequences]
+        if all(spool.left_out == len(spool) for spool in spools):
+            raise InputError(
+                f"{spools[0].folder}: the disk was full while all {sum(map(len, spools))} scans were read,"
+                " and no points are left; make room on it"
+            )
         report("solving the pose graph", 0.0)
-        return build_map(self._filled(), self.optimize(), self._config, report, inputs, density)
+        return build_map(sequences, self.optimize(), self._config, report, inputs, density)
 
     def with_quality(self, survey: SurveyMap, progress: ProgressCallback | None = None) -> SurveyMap:
         """Return a map that this back end has built with its quality report beside it."""

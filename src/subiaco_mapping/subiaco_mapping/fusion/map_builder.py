@@ -12,7 +12,6 @@ import numpy as np
 
 from subiaco_geo.config import config_hash
 from subiaco_geo.crs_area import AUTO
-from subiaco_geo.errors import InputError
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.free_space.sensor_view import SENSOR, SensorView
 from subiaco_geo.settings import method_statement, setting_values
@@ -101,12 +100,6 @@ def _fuse(
     view: FieldOfView,
     density: FullDensity | None,
 ) -> FinishedMap:
-    without_room = sum(s.spool.left_out for s in sequences)
-    if without_room == sum(len(s.spool) for s in sequences):
-        raise InputError(
-            f"{folder}: the disk was full while all {without_room} scans were read, and no points are left;"
-            " make room on it"
-        )
     start = solution.sequences[0].T_local_lidar[0, :3, 3]
     fusion = MapFusion(folder, config.fusion, projection, start, density)
     sources = {id(s.spool): k for k, s in enumerate(sequences, 1)}
