@@ -10,7 +10,7 @@ from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, 
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
-from subiaco_change.objects.voxel_objects import ObjectInstance, height_of, join_voxels
+from subiaco_change.objects.voxel_objects import height_of, join_voxels
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats
 
@@ -29,15 +29,17 @@ def join_standing_trunks(changes: list[ObjectChange], rules: ObjectRules) -> lis
     both epochs have nothing in common, as those of a palm that grew, their tops decide.
     """
     trunks = [number for number, change in enumerate(changes) if _is_trunk(change)]
-    places = {number: _middle((*changes[number].before, *changes[number].after)) for number in trunks}
+    if not trunks:
+        return changes
+    places = np.array([_circle(changes[number])[0] for number in trunks])
     crowns: dict[int, list[int]] = {}
     for number, change in enumerate(changes):
         if change.semantic is Semantic.VEGETATION and change.decision.change in ONE_EPOCH:
-            middle, radius = _middle((*change.before, *change.after)), _radius(change)
-            near = {k: float(np.hypot(*(places[k] - middle))) for k in trunks}
-            best = min(near, key=lambda k: near[k], default=-1)
-            if best >= 0 and near[best] <= _REACH * radius:
-                crowns.setdefault(best, []).append(number)
+            middle, radius = _circle(change)
+            away = np.hypot(*(places - middle).T)
+            nearest = int(away.argmin())
+            if away[nearest] <= _REACH * radius:
+                crowns.setdefault(trunks[nearest], []).append(number)
     told = list(changes)
     gone: set[int] = set()
     for trunk, members in crowns.items():
@@ -67,20 +69,16 @@ def _stands_below(trunk: ObjectChange, tree: ObjectChange) -> bool:
     return bool(left) and _LEAST <= height_of(left) <= height_of((*tree.before, *tree.after)) - _CROWN
 
 
-def _middle(parts: tuple[ObjectInstance, ...]) -> Floats:
-    """Return the middle (2,) of the box around parts, seen from above [m]."""
-    xy = join_voxels(parts).xyz[:, :2]
-    return np.asarray(0.5 * (xy.min(axis=0) + xy.max(axis=0)))
+def _circle(change: ObjectChange) -> tuple[Floats, float]:
+    """Return the middle (2,) and the radius of an object, half the mean width of its box from above [m]."""
+    xy = join_voxels((*change.before, *change.after)).xyz[:, :2]
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    return 0.5 * (low + high), float(0.5 * (high - low).mean())
 
 
 def _width(xyz: Floats) -> float:
     """Return the width of the middle nine tenths of places (N, 3), seen from above [m]."""
     return float(np.ptp(np.quantile(xyz[:, :2], (0.05, 0.95), axis=0), axis=0).max())
-
-
-def _radius(change: ObjectChange) -> float:
-    """Return half the mean width of the box around an object, seen from above [m]."""
-    return float(0.5 * np.ptp(join_voxels((*change.before, *change.after)).xyz[:, :2], axis=0).mean())
 
 
 def _joined(trunk: ObjectChange, trees: list[ObjectChange], rules: ObjectRules) -> ObjectChange | None:
@@ -92,7 +90,7 @@ def _joined(trunk: ObjectChange, trees: list[ObjectChange], rules: ObjectRules) 
     tops = height_of(before), height_of(after)
     rise = tops[1] - tops[0]
     limit = rules.decisions.vegetation.height
-    if not (before and after) or abs(rise) < limit:
+    if abs(rise) < limit:
         return None
     change, grew = (Change.INCREASED, "grew") if rise > 0 else (Change.DECREASED, "shrank")
     reason = (

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -292,7 +291,8 @@ def _houses_of(row: _Row, changed: Mask, beside: Mask) -> list[_Stretch]:
     What is much lower than a house that both epochs have is its carport, and no house beside it.
     """
     houses: list[_Stretch] = []
-    lower, higher = (reduce(which, (side.top for side in row.sides)) for which in (np.minimum, np.maximum))
+    before, after = (side.top for side in row.sides)
+    lower, higher = np.minimum(before, after), np.maximum(before, after)
     for begin, end in _runs(_clearly(row.share, changed)):
         alike = beside & (higher >= _LEAST * np.median(lower[begin:end]))
         walls = (

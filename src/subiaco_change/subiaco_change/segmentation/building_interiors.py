@@ -69,11 +69,9 @@ def inside_facades(
     walls = np.zeros(shape, dtype=np.int64)
     bits = np.left_shift(np.int64(1), cell[tall, 2])
     np.bitwise_or.at(walls, tuple(cell[tall, :2].T), bits)
-    highest = np.zeros(shape, dtype=np.int64)
-    np.maximum.at(highest, tuple(cell[tall, :2].T), cell[tall, 2])
     # openings are lower than a storey, and above the top of a wall is the sky
-    walls |= ((walls << 1) | (walls >> 1)) & ((np.int64(2) << highest) - 1)
-    walls |= _across_openings(walls) & _below_roofs(cell, height, building, shape)
+    walls |= ((walls << 1) | (walls >> 1)) & _up_to(cell[tall], shape)
+    walls |= _across_openings(walls) & _up_to(cell[building & (height >= _LOWEST)], shape)
     key = (cell[some, 0] * shape[1] + cell[some, 1]) * _LEVELS + cell[some, 2]
     places, place = np.unique(key, return_inverse=True)
     column, level = np.divmod(places, _LEVELS)
@@ -98,12 +96,11 @@ def _across_openings(walls: Ints) -> Ints:
     return closed[half:-half, half:-half]
 
 
-def _below_roofs(cell: Ints, height: Floats, building: Mask, shape: tuple[int, ...]) -> Ints:
-    """Levels (I, J) of columns up to the top of a building, if that is as high as a room."""
-    roof = building & (height >= _LOWEST)
-    top = np.full(shape, -1)
-    np.maximum.at(top, tuple(cell[roof, :2].T), cell[roof, 2])
-    return np.where(top < 0, 0, (np.int64(2) << np.maximum(top, 0)) - 1)
+def _up_to(cell: Ints, shape: tuple[int, ...]) -> Ints:
+    """Levels (I, J) up to the highest of cells (M, 3) in every column, none in a column without any."""
+    count = np.zeros(shape, dtype=np.int64)
+    np.maximum.at(count, tuple(cell[:, :2].T), cell[:, 2] + 1)
+    return (np.int64(1) << count) - 1
 
 
 @numba.njit(cache=True)
