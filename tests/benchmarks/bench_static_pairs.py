@@ -19,7 +19,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -83,10 +83,6 @@ PARTS = {
     "behind": Part(range(77), behind),
     "rings": Part(range(1, 77, 2), second_rings),
     "coarse": Part(range(1, 77, 2), None, COARSE),
-    "fine_first": Part(range(45), None, FINE),
-    "fine_second": Part(range(32, 77), None, FINE),
-    "fine_ahead": Part(range(77), ahead, FINE),
-    "fine_behind": Part(range(77), behind, FINE),
 }
 #: The same shares of drive 0027; every second ring is chosen by the laser.
 PARTS_0027 = {
@@ -98,11 +94,10 @@ PARTS_0027 = {
     "behind": Part(range(188), behind),
     "rings": Part(range(1, 188, 2), every_ring=2),
     "coarse": Part(range(1, 188, 2), None, COARSE),
-    "fine_first": Part(range(110), None, FINE),
-    "fine_second": Part(range(78, 188), None, FINE),
-    "fine_ahead": Part(range(188), ahead, FINE),
-    "fine_behind": Part(range(188), behind, FINE),
 }
+for _parts_of_drive in (PARTS, PARTS_0027):
+    for _name in ("first", "second", "ahead", "behind"):
+        _parts_of_drive[f"fine_{_name}"] = replace(_parts_of_drive[_name], settings=FINE)
 #: Parts of *before* and of *after*, and what of their maps is compared.
 _PARTS = {
     "even_odd": ("even", "odd"),

@@ -2,15 +2,9 @@
 
 import numpy as np
 import pytest
-from test_parts_in_other_instances import beams, epoch, everywhere, plant
+from test_parts_in_other_instances import compared, epoch, plant
 
-from subiaco_change.association.config import AssociationConfig
-from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.object_comparison import compare_objects
-from subiaco_change.decisions.object_decision import ObjectRules
 from subiaco_change.method_rules.switches import rules_switched_off
-from subiaco_change.objects.known_space import KnownSpace
-from subiaco_change.objects.measures import MeasureConfig
 from subiaco_geo.codes import Change, Semantic
 
 HEDGE = ((0.0, 0.0, 0.0), (4.0, 1.0, 1.5))  # corner and size [m]
@@ -22,12 +16,6 @@ def survey(seed, *boxes):
     rng = np.random.default_rng(seed)
     parts = [plant(rng, np.array(corner), np.array(size), 0.1) for corner, size in boxes]
     return epoch(rng, [(*(np.concatenate(column) for column in zip(*parts, strict=True)), GREEN)], 0.1)
-
-
-def compared(before, after):
-    spaces = KnownSpace(free=beams(before)), KnownSpace(free=beams(after))
-    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig(), spaces=spaces)
-    return compare_objects(before, after, everywhere, everywhere, rules)
 
 
 def changed(changes):

@@ -2,15 +2,9 @@
 
 import numpy as np
 import pytest
-from test_parts_in_other_instances import beams, epoch, everywhere, plant
+from test_parts_in_other_instances import compared, epoch, plant
 
-from subiaco_change.association.config import AssociationConfig
-from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.object_comparison import compare_objects
-from subiaco_change.decisions.object_decision import ObjectRules
 from subiaco_change.method_rules.switches import rules_switched_off
-from subiaco_change.objects.known_space import KnownSpace
-from subiaco_change.objects.measures import MeasureConfig
 from subiaco_geo.codes import Change, Semantic
 
 STEP = 0.1
@@ -36,12 +30,6 @@ def crown(foot, top, width=4.0):
 
 def trunk(top, x=2.0, y=2.0):
     return Semantic.OTHER, (x - 0.15, y - 0.15, 0.0), (0.3, 0.3, top)
-
-
-def compared(before, after):
-    spaces = KnownSpace(free=beams(before)), KnownSpace(free=beams(after))
-    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig(), spaces=spaces)
-    return compare_objects(before, after, everywhere, everywhere, rules)
 
 
 def labels(changes):
