@@ -53,6 +53,7 @@ _DORMER = NUMBERS.space_carving.dormer
 _LOOKED = NUMBERS.space_carving.observed_share
 _REFUTED = NUMBERS.space_carving.free_share
 _LAYER = NUMBERS.layers.share
+_ROOM_SIDES = 3  # directions, of four, in which a room has walls that were seen
 _TOUCHING, _PLAN = np.ones((3, 3, 3), dtype=bool), np.ones((3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
 _LEVEL = NUMBERS.space_carving.roof_normal
@@ -246,6 +247,7 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         sky = free | ((top > 0)[:, :, None] & ~below)
         return _State(below, sky & ~inside, np.zeros_like(below), sky & inside, top, not_refuted)
+    free &= _sides(below) < _ROOM_SIDES  # of a room the floor was seen through a window, and the sky above was not
     ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
@@ -278,7 +280,7 @@ def _inside(below: Cells, walls: tuple[Cells, Cells]) -> Cells:
     what lies above the roof. One of the four ``walls`` may be one that the epoch did not see.
     """
     own, possible = (_sides(solid) for solid in walls)
-    return np.asarray(~below & (own >= 3) & (possible == 4))
+    return np.asarray(~below & (own >= _ROOM_SIDES) & (possible == 4))
 
 
 def _sides(walls: Cells) -> Ints:
@@ -389,7 +391,7 @@ def _difference(
     """
     voxels = sides[1]
     solid = new.solid | _behind_new_walls(old, new, config)
-    number, count = ndimage.label(_without_layers(old.free & solid, sides[0], old.free, frame), _TOUCHING)
+    number, count = ndimage.label(_without_layers(old.free & solid, sides[0], old, frame), _TOUCHING)
     kinds = (
         voxels.observed_unoccupied,
         ~voxels.occupied_in_other,
@@ -439,10 +441,11 @@ def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
     return part
 
 
-def _without_layers(changed: Cells, old: Voxels, free: Cells, frame: _Frame) -> Cells:
+def _without_layers(changed: Cells, old: Voxels, state: _State, frame: _Frame) -> Cells:
     """Remove the parts of changed cells most of which lie close before walls that both epochs have.
 
-    What is higher than that stays: a storey behind the scaffolding by which it was built.
+    What is higher than that stays: a storey behind the scaffolding by which it was built. A wall has nothing
+    of the building before it: above a flat roof is no front of the parapet.
     """
     if not changed.any():  # as of most houses
         return changed
@@ -452,8 +455,10 @@ def _without_layers(changed: Cells, old: Voxels, free: Cells, frame: _Frame) -> 
     height = frame.foot.ravel()[column] + frame.levels[cells[:, 2]]
     places = np.column_stack([frame.middles()[column], height])
 
+    outdoors = state.free & (state.top == 0)[:, :, None]
+
     def outside(fronts: Floats) -> Mask:
-        return np.asarray(free[frame.cells(fronts)])
+        return np.asarray(outdoors[frame.cells(fronts)])
 
     layer = before_walls(places, old, outside)
     part = number[changed]
