@@ -9,19 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
 from subiaco_change.objects.column_volumes import tops_of_columns
+from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.voxel_objects import Voxels
-from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
+from subiaco_change.segmentation.bounding_rectangles import wall_axes
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints
 
@@ -54,6 +56,7 @@ _SEEN = NUMBERS.changed_houses.confirmed_voxels
 _GAP = round(NUMBERS.changed_houses.confirmed_gap / _COLUMN)
 _REST = NUMBERS.changed_houses.rest_share
 _DEEP = NUMBERS.changed_houses.part_depth / _COLUMN
+_ALONG = 0.5
 _LONG = round(NUMBERS.changed_houses.rest_length / _COLUMN)
 
 #: Kinds of the slots of a row: unchanged, only in one epoch (in the order of the epochs), reshaped on the
@@ -150,11 +153,15 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     xyz = np.concatenate([v.xyz for v in sides])
     epoch = np.repeat([0, 1], [len(v) for v in sides])
     alone = ~np.concatenate([v.occupied_in_other for v in sides])
-    turned = wall_coordinates(xyz[:, :2])
+    axes = wall_axes(xyz[:, :2])
+    turned = xyz[:, :2] @ axes
+    if np.ptp(turned[:, 0]) < np.ptp(turned[:, 1]):
+        axes, turned = axes[:, ::-1], turned[:, ::-1]
     slots = np.floor((turned - turned.min(axis=0)) / _COLUMN).astype(np.int64)
     house = np.zeros(len(xyz), dtype=np.int64)
     own = [slots[epoch == e] for e in (0, 1)]
-    profiles = [_profiles(sides, own), _profiles(sides, [side[:, ::-1] for side in own])]
+    built = [[_without_layers(v, along) for v in sides] for along in axes.T]
+    profiles = [_profiles(built[0], own), _profiles(built[1], [side[:, ::-1] for side in own])]
     axis, found = _along_row(profiles)
     if not found:
         axis = int(np.argmax(slots.max(axis=0)))
@@ -248,6 +255,27 @@ def _profile(voxels: Voxels, slots: Ints, tall: Mask, tops: Floats, others: Floa
     step = np.where(others > 0, rises, 0.0).max(axis=1)
     confirmed = np.bincount(place[new & voxels.free_space_confirmed], minlength=count)
     return _Profile(alone_share, above_share, known > 0, foot, tops, np.maximum(step, 0.0), confirmed)
+
+
+def _without_layers(voxels: Voxels, along: Floats) -> Voxels:
+    """Let what stands close before walls that both epochs have, which face across a row, count as in both.
+
+    Scaffolding before one house of a row changes no house. ``along`` (2,) is the direction of the row.
+    """
+    facing = np.abs(voxels.normal[:, :2] @ along) < _ALONG
+    walls = replace(voxels, occupied_in_other=voxels.occupied_in_other & facing)
+    alone = np.flatnonzero(voxels.observed_unoccupied)
+    shared = voxels.xyz[voxels.occupied_in_other & (voxels.height >= _ROOM), :2]
+    if len(alone) == 0 or len(shared) == 0:
+        return voxels
+    houses = cKDTree(shared)
+
+    def outside(fronts: Floats) -> Mask:
+        return ~np.isfinite(houses.query(fronts[:, :2], distance_upper_bound=_COLUMN)[0])
+
+    both = voxels.occupied_in_other.copy()
+    both[alone[before_walls(voxels.xyz[alone], walls, outside)]] = True
+    return replace(voxels, occupied_in_other=both)
 
 
 def _smoothed(values: NDArray[Any]) -> NDArray[Any]:

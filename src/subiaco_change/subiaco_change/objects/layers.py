@@ -18,6 +18,7 @@ from subiaco_geo.frames import Floats
 _DEPTH = NUMBERS.layers.depth
 _FRONT = NUMBERS.layers.front
 _AHEAD = NUMBERS.layers.ahead
+_NEAREST = 16
 _STEEP = NUMBERS.layers.wall_normal
 
 
@@ -51,15 +52,17 @@ def before_walls(places: Floats, voxels: Voxels, outside: Empty | None = None) -
     walls = voxels.select(steep & voxels.occupied_in_other)
     if len(walls) == 0 or len(places) == 0:
         return _before_none(places)
-    distance, nearest = cKDTree(walls.xyz).query(places, distance_upper_bound=_DEPTH)
-    near = np.flatnonzero(np.isfinite(distance))
-    step = places[near] - walls.xyz[nearest[near]]
-    normal = walls.normal[nearest[near]]
-    along = (step * normal).sum(axis=1)
-    ahead = np.abs(along) >= _AHEAD * distance[near]
+    distance, nearest = cKDTree(walls.xyz).query(
+        places, k=min(_NEAREST, len(walls)), distance_upper_bound=_DEPTH
+    )
+    place, rank = np.nonzero(np.isfinite(distance.reshape(len(places), -1)))
+    wall = nearest.reshape(len(places), -1)[place, rank]
+    along = ((places[place] - walls.xyz[wall]) * walls.normal[wall]).sum(axis=1)
+    ahead = np.abs(along) >= _AHEAD * distance.reshape(len(places), -1)[place, rank]
+    place, wall, along = place[ahead], wall[ahead], along[ahead]
     if outside is not None:
-        front = walls.xyz[nearest[near]] + np.sign(along)[:, None] * normal * _FRONT
-        ahead[ahead] = outside(front[ahead])
+        front = walls.xyz[wall] + np.sign(along)[:, None] * walls.normal[wall] * _FRONT
+        place = place[outside(front)]
     found = _before_none(places)
-    found[near] = ahead
+    found[place] = True
     return found
