@@ -391,7 +391,7 @@ def _difference(
     """
     voxels = sides[1]
     solid = new.solid | _behind_new_walls(old, new, config)
-    number, count = ndimage.label(_without_layers(old.free & solid, sides[0], old, frame), _TOUCHING)
+    number, count = ndimage.label(_without_layers(old.free & solid, sides, old, frame), _TOUCHING)
     kinds = (
         voxels.observed_unoccupied,
         ~voxels.occupied_in_other,
@@ -441,32 +441,32 @@ def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
     return part
 
 
-def _without_layers(changed: Cells, old: Voxels, state: _State, frame: _Frame) -> Cells:
-    """Remove the parts of changed cells most of which lie close before walls that both epochs have.
+def _without_layers(
+    changed: Cells, sides: tuple[Voxels, Voxels], state: _State, frame: _Frame
+) -> Cells:
+    """Remove the parts of changed cells most of whose surface lies close before walls that both epochs have.
 
     What is higher than that stays: a storey behind the scaffolding by which it was built. A wall has nothing
-    of the building before it: above a flat roof is no front of the parapet.
+    of the building before it: above a flat roof is no front of the parapet. The front of a wing lies further
+    from the wall than scaffolding does, however near to the wall most of its room is.
     """
     if not changed.any():  # as of most houses
         return changed
+    old, new = sides[0], sides[1].select(~sides[1].occupied_in_other)
     number, count = ndimage.label(changed, _TOUCHING)
-    cells = np.argwhere(changed)
-    column = cells[:, 0] * frame.shape[1] + cells[:, 1]
-    height = frame.foot.ravel()[column] + frame.levels[cells[:, 2]]
-    places = np.column_stack([frame.middles()[column], height])
-
+    part = _parts_of(new, number, frame)
     outdoors = state.free & (state.top == 0)[:, :, None]
 
     def outside(fronts: Floats) -> Mask:
         return np.asarray(outdoors[frame.cells(fronts)])
 
-    layer = before_walls(places, old, outside)
-    part = number[changed]
+    layer = before_walls(new.xyz, old, outside)
     size, covered = (np.bincount(some, minlength=count + 1) for some in (part, part[layer]))
     top = np.zeros(count + 1, dtype=np.int64)
-    np.maximum.at(top, part[layer], cells[layer, 2])
+    np.maximum.at(top, part[layer], frame.level(new.height[layer]))
     kept = changed.copy()
-    kept[changed] = (covered <= _LAYER * size)[part] | (cells[:, 2] > top[part])
+    cells, of_cell = np.argwhere(changed), number[changed]
+    kept[changed] = (covered <= _LAYER * size)[of_cell] | (cells[:, 2] > top[of_cell])
     return kept
 
 
