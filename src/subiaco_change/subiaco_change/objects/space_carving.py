@@ -243,11 +243,12 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
-    inside = _inside(below, _walls(np.maximum(top, not_refuted), other, frame))
+    own_sides, possible_sides = map(_sides, _walls(np.maximum(top, not_refuted), other, frame))
+    inside = ~below & (own_sides >= _ROOM_SIDES) & (possible_sides == 4)  # one wall may not have been seen
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         sky = free | ((top > 0)[:, :, None] & ~below)
         return _State(below, sky & ~inside, np.zeros_like(below), sky & inside, top, not_refuted)
-    free &= _sides(below) < _ROOM_SIDES  # of a room the floor was seen through a window, and the sky above was not
+    free &= own_sides < _ROOM_SIDES  # the floor of a room may have been seen through a window
     ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
@@ -267,24 +268,18 @@ def _walls(top: Floats, other: Voxels, frame: _Frame) -> tuple[Cells, Cells]:
     return frame.below(top), frame.below(possible)
 
 
-def _nothing_inside(below: Cells, _: tuple[Cells, Cells]) -> Cells:
-    """Return no cells."""
-    return np.zeros_like(below)
+def _no_sides(walls: Cells) -> Ints:
+    """Return that no cell has a wall in any direction."""
+    return np.zeros(walls.shape, dtype=np.int64)
 
 
-@switchable("inside_of_buildings", _nothing_inside)
-def _inside(below: Cells, walls: tuple[Cells, Cells]) -> Cells:
-    """Tell which cells that are not below tops have walls in all four directions: the inside of a house.
-
-    Beams reach it through windows, and meet the floor. A yard that is open at one side is outside, and so is
-    what lies above the roof. One of the four ``walls`` may be one that the epoch did not see.
-    """
-    own, possible = (_sides(solid) for solid in walls)
-    return np.asarray(~below & (own >= _ROOM_SIDES) & (possible == 4))
-
-
+@switchable("inside_of_buildings", _no_sides)
 def _sides(walls: Cells) -> Ints:
-    """Count the directions of the grid in which each cell has a wall."""
+    """Count the directions of the grid in which each cell has a wall; between four is the inside of a house.
+
+    Beams reach it through windows, and meet the floor: that shows neither the sky above nor a yard. A yard
+    that is open at one side is outside, and so is what lies above the roof.
+    """
     return np.sum([*_ways(walls, np.zeros_like(walls))], axis=(0, 1))
 
 
