@@ -239,6 +239,28 @@ def test_of_a_house_that_was_seen_to_its_front_alone_the_storey_shows_in_its_fro
     ) == [1]
 
 
+def test_scaffolding_before_one_house_of_a_row_does_not_hide_that_its_neighbour_rose():
+    """All houses have a balcony before the front, and the scaffolding stands around that of the first."""
+    tops = houses((4.0, 4.0, 4.0)), houses((4.0, 6.8, 4.0))
+    x, z = (np.arange(0.0, end, CELL) + CELL / 2 for end in (3 * WIDTH, 4.0))
+
+    def front(y, heights, length, normal, shared):
+        xyz = np.stack(np.meshgrid(x[x < length], [y], heights, indexing="ij"), axis=-1).reshape(-1, 3)
+        yes = np.ones(len(xyz), dtype=bool)
+        return Voxels(
+            np.zeros(len(xyz), int), xyz, np.tile(normal, (len(xyz), 1)), xyz[:, 2], yes, yes & shared, yes
+        )
+
+    both = front(0.0, z, 3 * WIDTH, (0.0, -1.0, 0.0), True).add(
+        front(-1.25, [2.25], 3 * WIDTH, (0.0, 0.0, 1.0), True)
+    )
+    scaffolding = front(-1.25, z[z > 2.5], WIDTH - 1.0, (0.0, 0.0, 1.0), False)
+    row = roofs(*tops).add(both), roofs(*tops[::-1]).add(both)
+    assert changed_places((row[0].add(scaffolding), row[1])) == [1]
+    with rules_switched_off(("layers_before_walls",)):
+        assert changed_places((row[0].add(scaffolding), row[1])) != [1]
+
+
 def test_a_roof_that_rose_by_more_than_a_building_must_change_parts_its_house():
     assert changed(houses((4.0, 4.0, 4.0)), houses((4.0, 4.9, 4.0))) == [1]
 

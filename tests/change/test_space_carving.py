@@ -238,6 +238,33 @@ def test_a_storey_behind_the_scaffolding_by_which_it_was_built_has_its_volume():
     assert 0.8 * storey < carve(before, after, CONFIG).volume.low <= storey
 
 
+def test_a_wing_hides_room_though_most_of_it_lies_close_before_a_wall_that_was_seen_through_its_windows():
+    """Its front lies 2.5 m before the wall, further than that of scaffolding does."""
+    deep = 2.5
+    front = walls_of(voxels(sheet((0, 0, 0), (LENGTH, CELL, TALL))))
+    rest = voxels(sheet((0, CELL, TALL - CELL), (LENGTH, DEPTH, TALL)))
+    sides = [sheet((x, CELL - deep, 0), (x + CELL, 0, TALL)) for x in (0, LENGTH - CELL)]
+    new = voxels(sheet((0, -deep, 0), (LENGTH, CELL - deep, TALL)), *sides, occupied_in_other=False)
+    before = CarvingEpoch(front.add(rest), PLAIN, nothing_met)
+    around = inside(((-9, -9, 0), (30, -deep, HIGH)), OUT["west"], OUT["above"], OUT["east"])
+    after = CarvingEpoch(front.add(rest).add(new), around, nothing_met)
+    assert carve(before, after, CONFIG).volume.low == pytest.approx(deep * LENGTH * TALL, rel=0.2)
+    assert carve(after, before, CONFIG).volume.high == pytest.approx(-deep * LENGTH * TALL, rel=0.2)
+
+
+def test_a_mansard_above_the_front_of_a_flat_roof_that_nobody_saw_is_no_layer_before_the_front():
+    """The earlier survey saw free space behind the parapet, and not the roof."""
+    high, roof = 5 * CELL, TALL - 2 * CELL
+    front = walls_of(voxels(sheet((0, 0, 0), (LENGTH, CELL, TALL))))
+    slope = voxels(sheet((0, CELL, TALL), (LENGTH, 1.5, TALL + high)), occupied_in_other=False)
+    sides = [inside(OUT["street"], OUT["west"], ((-9, -9, z), (30, 30, HIGH))) for z in (roof, TALL + high)]
+    before = CarvingEpoch(front, sides[0], nothing_met)
+    after = CarvingEpoch(front.add(slope), sides[1], nothing_met)
+    whole = LENGTH * (TALL + high - roof)  # a metre deep
+    assert carve(before, after, CONFIG).gained.low == pytest.approx(whole, rel=0.2)
+    assert carve(after, before, CONFIG).lost.low == pytest.approx(whole, rel=0.2)
+
+
 def test_swapping_the_epochs_swaps_the_bounds():
     there = carve(epoch(house(), PLAIN), extended(), CONFIG)
     back = carve(extended(), epoch(house(), PLAIN), CONFIG)
@@ -365,6 +392,18 @@ def test_a_house_did_not_grow_because_one_survey_met_its_floor_and_the_other_its
     assert carve(from_outside, through_windows, CONFIG).lost.high == 0.0
     with rules_switched_off(["inside_of_buildings"]):
         assert carve(through_windows, from_outside, CONFIG).gained.low > 100.0
+
+
+def test_a_floor_seen_through_a_window_of_a_house_without_a_visible_roof_or_back_makes_no_yard():
+    """The later survey sees the roof from the other lane."""
+    walls = [BLOCK[0], *BLOCK[2:]]
+    before = CarvingEpoch(voxels(*walls), seen("street", "west", "east"), floor_met)
+    roof = voxels(sheet((1, 1, TALL - CELL), (LENGTH - 1, DEPTH - 1, TALL)), occupied_in_other=False)
+    after = CarvingEpoch(voxels(*walls).add(roof), PLAIN, nothing_met)
+    assert carve(before, after, CONFIG).gained.low == 0.0
+    assert carve(after, before, CONFIG).lost.low == 0.0
+    with rules_switched_off(["inside_of_buildings"]):
+        assert carve(before, after, CONFIG).gained.low > 100.0
 
 
 def test_a_yard_that_is_open_to_the_street_is_outside():

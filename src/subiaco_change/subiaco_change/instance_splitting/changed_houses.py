@@ -56,7 +56,7 @@ _SEEN = NUMBERS.changed_houses.confirmed_voxels
 _GAP = round(NUMBERS.changed_houses.confirmed_gap / _COLUMN)
 _REST = NUMBERS.changed_houses.rest_share
 _DEEP = NUMBERS.changed_houses.part_depth / _COLUMN
-_ALONG = 0.5
+_ACROSS = NUMBERS.changed_houses.across_row
 _LONG = round(NUMBERS.changed_houses.rest_length / _COLUMN)
 
 #: Kinds of the slots of a row: unchanged, only in one epoch (in the order of the epochs), reshaped on the
@@ -258,11 +258,11 @@ def _profile(voxels: Voxels, slots: Ints, tall: Mask, tops: Floats, others: Floa
 
 
 def _without_layers(voxels: Voxels, along: Floats) -> Voxels:
-    """Let what stands close before walls that both epochs have, which face across a row, count as in both.
+    """Let things close before walls that both epochs have, and that face across a row, count as in both.
 
     Scaffolding before one house of a row changes no house. ``along`` (2,) is the direction of the row.
     """
-    facing = np.abs(voxels.normal[:, :2] @ along) < _ALONG
+    facing = np.abs(voxels.normal[:, :2] @ along) < _ACROSS
     walls = replace(voxels, occupied_in_other=voxels.occupied_in_other & facing)
     alone = np.flatnonzero(voxels.observed_unoccupied)
     shared = voxels.xyz[voxels.occupied_in_other & (voxels.height >= _ROOM), :2]

@@ -113,6 +113,11 @@ class ChangedHousesNumbers(StrictModel):
         0.8,
         description="Fraction of the width of a house along which its neighbour must be unchanged",
     )
+    across_row: float = Field(
+        0.5,
+        description="Component along a row of the unit normal of a wall below which the wall faces across the"
+        " row, as a ratio",
+    )
 
 
 class CostsNumbers(StrictModel):

@@ -33,6 +33,9 @@ class LayersNumbers(StrictModel):
     wall_normal: float = Field(
         0.8, description="Smallest horizontal component of the unit normal of a wall, as a ratio"
     )
+    nearest_walls: int = Field(
+        16, description="Number of the surfaces of walls nearest to a place of which one must face the place"
+    )
     share: float = Field(
         0.5,
         description="Fraction of a part close before walls that both epochs have, above which the part is"
@@ -673,6 +676,9 @@ class SpaceCarvingNumbers(StrictModel):
     free_share: float = Field(
         0.5,
         description="Fraction of these observed places that must have been free",
+    )
+    room_sides: int = Field(
+        3, description="Number of directions, of four, in which a survey must have seen a wall around a room"
     )
 
 

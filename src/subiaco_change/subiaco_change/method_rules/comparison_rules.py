@@ -452,6 +452,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.changed_houses.tall_top",
             "method_numbers.changed_houses.tall_half",
             "method_numbers.changed_houses.neighbour_share",
+            "method_numbers.changed_houses.across_row",
         ),
     ),
     Rule(
@@ -552,6 +553,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.layers.front",
             "method_numbers.layers.ahead",
             "method_numbers.layers.wall_normal",
+            "method_numbers.layers.nearest_walls",
             "method_numbers.layers.share",
         ),
     ),
@@ -703,8 +705,9 @@ BUILDING_RULES: tuple[Rule, ...] = (
     Rule(
         "inside_of_buildings",
         _HERE,
-        "What is free between walls on all sides is the inside of a building, seen through its windows.",
-        (),
+        "What is free between walls on all sides is the inside of a building, seen through its windows; a"
+        " floor between walls on three sides makes no yard.",
+        ("method_numbers.space_carving.room_sides",),
     ),
     Rule(
         "thin_volumes",

@@ -18,7 +18,7 @@ from subiaco_geo.frames import Floats
 _DEPTH = NUMBERS.layers.depth
 _FRONT = NUMBERS.layers.front
 _AHEAD = NUMBERS.layers.ahead
-_NEAREST = 16
+_NEAREST = NUMBERS.layers.nearest_walls
 _STEEP = NUMBERS.layers.wall_normal
 
 
@@ -31,8 +31,9 @@ def _before_none(places: Floats, *_: object) -> Mask:
 def before_walls(places: Floats, voxels: Voxels, outside: Empty | None = None) -> Mask:
     """Tell which places lie close before walls that both epochs have.
 
-    A storey lies behind the upper edge of the wall on which it was built: what faces a wall lies on the side
-    on which the space in front of the wall was seen free.
+    One of the nearest surfaces of walls must face a place: scaffolding stands so close to its wall that some
+    of its own surfaces count as in both. A storey lies behind the upper edge of the wall on which it was
+    built: what faces a wall lies on the side on which the space in front of the wall was seen free.
 
     Parameters
     ----------
@@ -41,8 +42,7 @@ def before_walls(places: Floats, voxels: Voxels, outside: Empty | None = None) -
     voxels : Voxels
         Of a building in one epoch, and which of them the other epoch has too.
     outside : callable, optional
-        Tells which places (N, 3) the epoch of the voxels saw free, outside the building; None: both sides
-        count.
+        Tells which places (N, 3) lie outside the building; None: both sides of a wall count.
 
     Returns
     -------
@@ -52,17 +52,16 @@ def before_walls(places: Floats, voxels: Voxels, outside: Empty | None = None) -
     walls = voxels.select(steep & voxels.occupied_in_other)
     if len(walls) == 0 or len(places) == 0:
         return _before_none(places)
-    distance, nearest = cKDTree(walls.xyz).query(
-        places, k=min(_NEAREST, len(walls)), distance_upper_bound=_DEPTH
-    )
-    place, rank = np.nonzero(np.isfinite(distance.reshape(len(places), -1)))
-    wall = nearest.reshape(len(places), -1)[place, rank]
+    found = cKDTree(walls.xyz).query(places, k=min(_NEAREST, len(walls)), distance_upper_bound=_DEPTH)
+    distance, nearest = (values.reshape(len(places), -1) for values in found)
+    place, rank = np.nonzero(np.isfinite(distance))
+    wall = nearest[place, rank]
     along = ((places[place] - walls.xyz[wall]) * walls.normal[wall]).sum(axis=1)
-    ahead = np.abs(along) >= _AHEAD * distance.reshape(len(places), -1)[place, rank]
+    ahead = np.abs(along) >= _AHEAD * distance[place, rank]
     place, wall, along = place[ahead], wall[ahead], along[ahead]
     if outside is not None:
         front = walls.xyz[wall] + np.sign(along)[:, None] * walls.normal[wall] * _FRONT
         place = place[outside(front)]
-    found = _before_none(places)
-    found[place] = True
-    return found
+    before = _before_none(places)
+    before[place] = True
+    return before

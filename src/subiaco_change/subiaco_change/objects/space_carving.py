@@ -53,7 +53,7 @@ _DORMER = NUMBERS.space_carving.dormer
 _LOOKED = NUMBERS.space_carving.observed_share
 _REFUTED = NUMBERS.space_carving.free_share
 _LAYER = NUMBERS.layers.share
-_ROOM_SIDES = 3  # directions, of four, in which a room has walls that were seen
+_ROOM_SIDES = NUMBERS.space_carving.room_sides
 _TOUCHING, _PLAN = np.ones((3, 3, 3), dtype=bool), np.ones((3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
 _LEVEL = NUMBERS.space_carving.roof_normal
@@ -436,9 +436,7 @@ def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
     return part
 
 
-def _without_layers(
-    changed: Cells, sides: tuple[Voxels, Voxels], state: _State, frame: _Frame
-) -> Cells:
+def _without_layers(changed: Cells, sides: tuple[Voxels, Voxels], state: _State, frame: _Frame) -> Cells:
     """Remove the parts of changed cells most of whose surface lies close before walls that both epochs have.
 
     What is higher than that stays: a storey behind the scaffolding by which it was built. A wall has nothing
