@@ -160,6 +160,21 @@ def test_the_floor_that_the_edge_of_a_pit_hides_counts_towards_its_area(side, co
     assert len(compare_ground(view(seed=1), without(dug, hidden), GroundChangeConfig()).patches) == count
 
 
+@pytest.mark.parametrize(("dz", "count"), [(-0.7, 1), (-0.4, 0)])
+def test_cells_of_a_small_pit_that_nobody_measured_moved_as_the_measured_ones_did(dz, count):
+    """7.5 m2, a third of them hidden by the edge: the measured cells alone moved 3.5 m3, the limit is 3.75 m3."""
+    shape = (20, 20)
+    none, flat, change = np.zeros(shape, dtype=bool), np.zeros(shape), np.zeros(shape)
+    change[5:11, 5:10] = dz
+    hidden = none.copy()
+    hidden[9:11, 5:10] = True
+    change[hidden] = np.nan
+    cells = GroundCells(change, np.full(shape, 0.03), none, flat, none, none, none, hidden)
+    found = find_patches(cells, np.zeros(2), GroundChangeConfig())[1]
+    assert [p.area for p in found] == [7.5] * count
+    assert all(f"{7.5 * abs(dz):.1f} m³" in p.reason for p in found)
+
+
 def without(cloud, where):
     """An epoch without its points where ``where`` holds."""
     kept = ~where(cloud.xyz[:, 0], cloud.xyz[:, 1])

@@ -110,12 +110,14 @@ def _none_more(_: Ints, count: int, *__: object) -> Mask:
 def _moved_as_much(labels: Ints, count: int, rise: Floats, config: GroundChangeConfig) -> Mask:
     """Tell which patches (count + 1,), however small, moved as much ground as the least of the large ones.
 
-    A trench of a metre is as much of a change as a road that was raised by a hand's breadth.
+    A trench of a metre is as much of a change as a road that was raised by a hand's breadth. Cells of a patch
+    that nobody measured, as of a floor behind the edge of a pit, moved as the measured ones did.
     """
+    size, measured = _own_sizes(labels, count), np.bincount(labels[rise > 0.0], minlength=count + 1)
     moved = np.bincount(labels.ravel(), np.maximum(rise, 0.0).ravel(), minlength=count + 1)
     cell = config.cell**2
-    large = _own_sizes(labels, count) * cell > config.small_area
-    return np.asarray(large & (moved * cell >= config.volume))
+    whole = size * moved / np.maximum(measured, 1)
+    return np.asarray((size * cell > config.small_area) & (whole * cell >= config.volume))
 
 
 @switchable("measured_patches", never)
@@ -245,7 +247,7 @@ def _make_patch(
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
     height, spread = float(np.median(values)), float(values.std())
     confidence = patch_confidence(height, level, spread, config.threshold)
-    volume = abs(float(values.sum())) * cell**2
+    volume = abs(float(values.mean())) * area
     reason = (
         f"The ground level changed by {height:+z.2f} m (limit {config.threshold:.2f} m, LoD95 {level:.2f} m,"
         f" standard deviation {spread:.2f} m) over {area:.0f} m² and {volume:.1f} m³ (limit"
