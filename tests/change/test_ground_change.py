@@ -162,7 +162,7 @@ def test_the_floor_that_the_edge_of_a_pit_hides_counts_towards_its_area(side, co
 
 @pytest.mark.parametrize(("dz", "count"), [(-0.7, 1), (-0.4, 0)])
 def test_cells_of_a_small_pit_that_nobody_measured_moved_as_the_measured_ones_did(dz, count):
-    """7.5 m2, a third of them hidden by the edge; the limit is 3.75 m3, and the measured cells moved 3.5 m3."""
+    """7.5 m2, a third of them hidden by the edge; the limit is 3.75 m3, and 3.5 m3 were measured."""
     shape = (20, 20)
     none, flat, change = np.zeros(shape, dtype=bool), np.zeros(shape), np.zeros(shape)
     change[5:11, 5:10] = dz
