@@ -406,6 +406,20 @@ def test_a_floor_seen_through_a_window_of_a_house_without_a_visible_roof_or_back
         assert carve(before, after, CONFIG).gained.low > 100.0
 
 
+def test_a_shelter_between_three_walls_is_open_where_the_ground_was_met_up_to_the_street():
+    """What the earlier survey knows of the space in it is that the ground was met, inside and before it."""
+    before = CarvingEpoch(
+        voxels(*BLOCK[1:]),
+        seen("west", "east"),
+        lambda xy: ((xy > (1.0, -9.0)) & (xy < (LENGTH - 1.0, DEPTH - 1.0))).all(axis=1),
+    )
+    roof = sheet((1, 1, TALL - CELL), (LENGTH - 1, DEPTH - 1, TALL))
+    new = voxels(BLOCK[0], roof, occupied_in_other=False)
+    after = CarvingEpoch(voxels(*BLOCK[1:]).add(new), PLAIN, nothing_met)
+    assert carve(before, after, CONFIG).gained.low > 100.0
+    assert carve(after, before, CONFIG).lost.low > 100.0
+
+
 def test_a_yard_that_is_open_to_the_street_is_outside():
     """A wall closes it in the later survey, and a roof covers it."""
     yard = inside(OUT["street"], ((1, -9, 0), (LENGTH - 1, DEPTH - 1, TALL)))

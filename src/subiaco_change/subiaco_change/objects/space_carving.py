@@ -243,12 +243,14 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
-    own_sides, possible_sides = map(_sides, _walls(np.maximum(top, not_refuted), other, frame))
+    walls, possible = _walls(np.maximum(top, not_refuted), other, frame)
+    own_sides, possible_sides = _sides(walls), _sides(possible)
     inside = ~below & (own_sides >= _ROOM_SIDES) & (possible_sides == 4)  # one wall may not have been seen
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         sky = free | ((top > 0)[:, :, None] & ~below)
         return _State(below, sky & ~inside, np.zeros_like(below), sky & inside, top, not_refuted)
-    free &= own_sides < _ROOM_SIDES  # the floor of a room may have been seen through a window
+    # The floor of a room may have been seen through a window; a passage is seen to be open at its end.
+    free &= ~((own_sides >= _ROOM_SIDES) & (_sides(walls | _hidden_ends(open_column)) == 4))
     ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
@@ -256,6 +258,13 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     free[ask] = epoch.empty(np.column_stack([middles[column], height]))
     hollow, outside = free & below, free & ~below & ~inside
     return _State(below & ~hollow, outside, hollow, free & inside, top, not_refuted)
+
+
+def _hidden_ends(open_column: Mask) -> Cells:
+    """Tell the outermost columns (nx, ny, 1) whose ground was not met: nothing shows that a way out is open."""
+    hidden = np.ones(open_column.shape, dtype=bool)
+    hidden[1:-1, 1:-1] = False
+    return np.asarray((hidden & ~open_column)[:, :, None])
 
 
 def _walls(top: Floats, other: Voxels, frame: _Frame) -> tuple[Cells, Cells]:
