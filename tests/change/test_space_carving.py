@@ -407,7 +407,7 @@ def test_a_floor_seen_through_a_window_of_a_house_without_a_visible_roof_or_back
 
 
 def test_a_shelter_between_three_walls_is_open_where_the_ground_was_met_up_to_the_street():
-    """What the earlier survey knows of the space in it is that the ground was met, inside and before it."""
+    """The earlier survey met the ground inside and before it, and knows nothing else of the space."""
     before = CarvingEpoch(
         voxels(*BLOCK[1:]),
         seen("west", "east"),
