@@ -261,7 +261,7 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
 
 
 def _hidden_ends(open_column: Mask) -> Cells:
-    """Tell the outermost columns (nx, ny, 1) whose ground was not met: nothing shows that a way out is open."""
+    """Tell the outermost columns (nx, ny, 1) whose ground was not met: no way out was seen to be open."""
     hidden = np.ones(open_column.shape, dtype=bool)
     hidden[1:-1, 1:-1] = False
     return np.asarray((hidden & ~open_column)[:, :, None])
