@@ -6,6 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 from random_houses import Box, Sensor, Street, compare, survey
+from test_space_carving import sheet, walls_of
+from test_space_carving import voxels as surfaces
 
 from subiaco_change.instance_splitting.changed_houses import changed_houses
 from subiaco_change.method_rules.switches import rules_switched_off
@@ -242,19 +244,9 @@ def test_of_a_house_that_was_seen_to_its_front_alone_the_storey_shows_in_its_fro
 def test_scaffolding_before_one_house_of_a_row_does_not_hide_that_its_neighbour_rose():
     """All houses have a balcony before the front, and the scaffolding stands around that of the first."""
     tops = houses((4.0, 4.0, 4.0)), houses((4.0, 6.8, 4.0))
-    x, z = (np.arange(0.0, end, CELL) + CELL / 2 for end in (3 * WIDTH, 4.0))
-
-    def front(y, heights, length, normal, shared):
-        xyz = np.stack(np.meshgrid(x[x < length], [y], heights, indexing="ij"), axis=-1).reshape(-1, 3)
-        yes = np.ones(len(xyz), dtype=bool)
-        return Voxels(
-            np.zeros(len(xyz), int), xyz, np.tile(normal, (len(xyz), 1)), xyz[:, 2], yes, yes & shared, yes
-        )
-
-    both = front(0.0, z, 3 * WIDTH, (0.0, -1.0, 0.0), True).add(
-        front(-1.25, [2.25], 3 * WIDTH, (0.0, 0.0, 1.0), True)
-    )
-    scaffolding = front(-1.25, z[z > 2.5], WIDTH - 1.0, (0.0, 0.0, 1.0), False)
+    fronts = walls_of(surfaces(sheet((0, -CELL / 2, 0), (3 * WIDTH, CELL / 2, 4))))
+    both = fronts.add(surfaces(sheet((0, -1.5, 2), (3 * WIDTH, -1, 2.5))))
+    scaffolding = surfaces(sheet((0, -1.5, 2.5), (WIDTH - 1, -1, 4)), occupied_in_other=False)
     row = roofs(*tops).add(both), roofs(*tops[::-1]).add(both)
     assert changed_places((row[0].add(scaffolding), row[1])) == [1]
     with rules_switched_off(("layers_before_walls",)):

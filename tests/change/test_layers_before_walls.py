@@ -4,20 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_space_carving import CELL, LENGTH, sheet, voxels
 
 from subiaco_change.objects.layers import before_walls
-from subiaco_change.objects.voxel_objects import Voxels
 
-CELL, LENGTH, TALL = 0.5, 10.0, 6.0
+TALL = 6.0
 
 
 def facade(normal=(0.0, -1.0, 0.0), y=0.0, shared=True):
     """Voxels of a wall along x, which faces the street at y < 0."""
-    x, z = (np.arange(0.0, end, CELL) + CELL / 2 for end in (LENGTH, TALL))
-    xyz = np.stack(np.meshgrid(x, [y], z, indexing="ij"), axis=-1).reshape(-1, 3)
-    count = len(xyz)
-    yes = np.ones(count, dtype=bool)
-    return Voxels(np.zeros(count, int), xyz, np.tile(normal, (count, 1)), xyz[:, 2], yes, yes & shared, ~yes)
+    wall = voxels(sheet((0.0, y - CELL / 2, 0.0), (LENGTH, y + CELL / 2, TALL)), occupied_in_other=shared)
+    return replace(wall, normal=np.tile(normal, (len(wall), 1)))
 
 
 @pytest.mark.parametrize(("distance", "close"), [(0.4, True), (1.2, True), (1.8, True), (2.2, False)])

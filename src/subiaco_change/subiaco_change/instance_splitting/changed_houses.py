@@ -23,7 +23,7 @@ from subiaco_change.method_rules.switches import switchable
 from subiaco_change.objects.column_volumes import tops_of_columns
 from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.voxel_objects import Voxels
-from subiaco_change.segmentation.bounding_rectangles import wall_axes
+from subiaco_change.segmentation.bounding_rectangles import longer_axis_first
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints
 
@@ -153,14 +153,12 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     xyz = np.concatenate([v.xyz for v in sides])
     epoch = np.repeat([0, 1], [len(v) for v in sides])
     alone = ~np.concatenate([v.occupied_in_other for v in sides])
-    axes = wall_axes(xyz[:, :2])
+    axes = longer_axis_first(xyz[:, :2])
     turned = xyz[:, :2] @ axes
-    if np.ptp(turned[:, 0]) < np.ptp(turned[:, 1]):
-        axes, turned = axes[:, ::-1], turned[:, ::-1]
     slots = np.floor((turned - turned.min(axis=0)) / _COLUMN).astype(np.int64)
     house = np.zeros(len(xyz), dtype=np.int64)
     own = [slots[epoch == e] for e in (0, 1)]
-    built = [[_without_layers(v, along) for v in sides] for along in axes.T]
+    built = [[_sharing_layers(v, along) for v in sides] for along in axes.T]
     profiles = [_profiles(built[0], own), _profiles(built[1], [side[:, ::-1] for side in own])]
     axis, found = _along_row(profiles)
     if not found:
@@ -257,7 +255,7 @@ def _profile(voxels: Voxels, slots: Ints, tall: Mask, tops: Floats, others: Floa
     return _Profile(alone_share, above_share, known > 0, foot, tops, np.maximum(step, 0.0), confirmed)
 
 
-def _without_layers(voxels: Voxels, along: Floats) -> Voxels:
+def _sharing_layers(voxels: Voxels, along: Floats) -> Voxels:
     """Let things close before walls that both epochs have, and that face across a row, count as in both.
 
     Scaffolding before one house of a row changes no house. ``along`` (2,) is the direction of the row.

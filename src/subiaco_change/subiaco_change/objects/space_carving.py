@@ -244,13 +244,13 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
     walls, possible = _walls(np.maximum(top, not_refuted), other, frame)
-    own_sides, possible_sides = _sides(walls), _sides(possible)
-    inside = ~below & (own_sides >= _ROOM_SIDES) & (possible_sides == 4)  # one wall may not have been seen
+    walled = _sides(walls) >= _ROOM_SIDES
+    inside = ~below & walled & (_sides(possible) == 4)  # one wall may not have been seen
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         sky = free | ((top > 0)[:, :, None] & ~below)
         return _State(below, sky & ~inside, np.zeros_like(below), sky & inside, top, not_refuted)
     # The floor of a room may have been seen through a window; a passage is seen to be open at its end.
-    free &= ~((own_sides >= _ROOM_SIDES) & (_sides(walls | _hidden_ends(open_column)) == 4))
+    free &= ~(walled & (_sides(walls | _hidden_ends(open_column)) == 4))
     ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
@@ -457,6 +457,7 @@ def _without_layers(changed: Cells, sides: tuple[Voxels, Voxels], state: _State,
     old, new = sides[0], sides[1].select(~sides[1].occupied_in_other)
     number, count = ndimage.label(changed, _TOUCHING)
     part = _parts_of(new, number, frame)
+    new, part = new.select(part > 0), part[part > 0]
     outdoors = state.free & (state.top == 0)[:, :, None]
 
     def outside(fronts: Floats) -> Mask:

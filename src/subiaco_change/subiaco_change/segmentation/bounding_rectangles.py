@@ -45,9 +45,14 @@ def wall_coordinates(xy: Floats, cell: float = 0.25) -> Floats:
 
     Of directions every 3 deg, that in which the points fall into the fewest strips of a width [m].
     """
-    centred = xy - xy.mean(axis=0)
-    turned = centred @ wall_axes(xy, cell)
-    return turned if np.ptp(turned[:, 0]) >= np.ptp(turned[:, 1]) else turned[:, ::-1]
+    return np.asarray((xy - xy.mean(axis=0)) @ longer_axis_first(xy, cell))
+
+
+def longer_axis_first(xy: Floats, cell: float = 0.25) -> Floats:
+    """Rotation (2, 2) whose columns are the directions of the longer and of the shorter side of walls."""
+    axes = wall_axes(xy, cell)
+    along, across = np.ptp(xy @ axes, axis=0)
+    return axes if along >= across else axes[:, ::-1]
 
 
 def wall_axes(xy: Floats, cell: float = 0.25) -> Floats:
