@@ -83,34 +83,6 @@ def test_things_far_apart_stay_unmatched():
     assert found == [((), (0,), "none"), ((0,), (), "none")]
 
 
-def shrub(instance, west, *, free, semantic=Semantic.VEGETATION):
-    """A block of 1.5 m whose place the other epoch saw free, or not."""
-    whole = block(instance, west, 0, west + 1.5, 1.5, 1.5)
-    occupied = np.full(len(whole.voxels), not free)
-    return replace(whole, semantic=semantic, voxels=replace(whole.voxels, occupied_in_other=occupied))
-
-
-@pytest.mark.parametrize("swapped", [False, True])
-@pytest.mark.parametrize(
-    ("semantic", "free", "partners"),
-    [
-        (Semantic.VEGETATION, True, 0),
-        (Semantic.VEGETATION, False, 1),
-        (Semantic.BUILDING, True, 0),
-        (Semantic.MOBILE, True, 1),
-    ],
-)
-def test_what_stands_still_and_was_seen_gone_has_no_partner_beside_its_place(
-    semantic, free, partners, swapped
-):
-    gone = [shrub(0, 0.0, free=free, semantic=semantic)]
-    beside = [shrub(0, 2.5, free=False, semantic=semantic)]
-    config = AssociationConfig(gate_distance=3.0, unmatched=50.0)
-    pair = (beside, gone) if swapped else (gone, beside)
-    found = associate(*pair, config, 0.5)
-    assert sum(bool(m.before and m.after) for m in found) == partners
-
-
 def test_what_is_left_of_a_large_object_is_that_object_however_small():
     large, left = block(0, 0, 0, 20, 20, 8), block(0, 0, 0, 3, 3, 2)
     assert matches([large], [left]) == [((0,), (0,), "one_to_one")]

@@ -14,14 +14,13 @@ from subiaco_change.decisions.driven_lane import (
     DrivenLane,
     SurveyPath,
     decide_in_traffic,
-    decide_shapeless,
     lane_near,
     lane_share_of_claim,
     limit_in_lane,
 )
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_rules.switches import rules_switched_off
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import Change
 
 RULES = DecisionConfig()
 #: A straight drive of 60 m along x, the sensor 2 m above the ground, a position each 2 m.
@@ -143,31 +142,6 @@ def test_what_moving_objects_crossed_in_the_lane_was_a_vehicle_of_the_traffic(le
     if decision is not None:
         assert decision.change is Change.NOT_REPORTED
         assert "moving objects crossed 100% of its place" in decision.reason
-
-
-@pytest.mark.parametrize(
-    ("left", "top", "semantic", "trail"),
-    [
-        (-0.9, 1.5, Semantic.VEGETATION, True),
-        (-0.9, 1.5, Semantic.OTHER, True),
-        (0.9, 1.5, Semantic.VEGETATION, False),
-        (-0.9, 7.0, Semantic.VEGETATION, False),
-        (-0.9, 1.5, Semantic.MOBILE, False),
-        (-0.9, 1.5, Semantic.BUILDING, False),
-    ],
-    ids=["smear", "fragment", "shrub beside the lane", "tree", "parked car", "container"],
-)
-def test_without_counted_beams_a_shapeless_object_in_the_lane_is_a_trail(left, top, semantic, trail):
-    lanes = [DrivenLane(STRAIGHT).covers]
-    thing = car(left, top)
-    decision = decide_shapeless([thing], semantic, lanes, RULES)
-    assert (decision is not None) == trail
-    if decision is not None:
-        assert decision.change is Change.NOT_REPORTED
-        assert "100% of the object lies in the lane" in decision.reason
-    assert decide_shapeless([thing], semantic, [], RULES) is None
-    counted = replace(thing, passed=np.zeros(len(thing.xyz)))
-    assert decide_shapeless([counted], semantic, lanes, RULES) is None
 
 
 def test_a_tree_above_the_lane_is_no_traffic():

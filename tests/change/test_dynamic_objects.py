@@ -202,19 +202,6 @@ def test_a_wall_higher_than_any_vehicle_did_not_pass_however_briefly_it_was_seen
     assert decide_moving_object_trail([bus], Semantic.BUILDING, None, RULES) is not None
 
 
-def test_a_part_of_a_building_that_was_seen_briefly_is_no_vehicle() -> None:
-    brief = timed(0.5)
-    heights = np.linspace(0.3, 2.8, len(brief.xyz))
-    part = replace(brief, xyz=np.column_stack([np.zeros(len(heights)), np.zeros(len(heights)), heights]))
-    house = np.column_stack([np.full(30, 0.4), np.zeros(30), np.linspace(0, 3, 30)])
-    for distance, moved in ((0.0, None), (3.0, Change.UNOBSERVED)):
-        own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(np.add(house, (distance, 0, 0))), np.full(30, 77))
-        decision = decide_moving_object_trail([part], Semantic.BUILDING, own, RULES)
-        assert (None if decision is None else decision.change) is moved
-    own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(house), np.full(30, part.instance))
-    assert decide_moving_object_trail([part], Semantic.BUILDING, own, RULES) is not None
-
-
 #: Ground points half a metre apart.
 ROAD = np.stack(np.meshgrid(np.arange(-20, 40, 0.5), np.arange(-20, 20, 0.5)), axis=-1).reshape(-1, 2)
 

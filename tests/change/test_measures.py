@@ -5,14 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.association.config import AssociationConfig
-from subiaco_change.decisions.object_decision import ObjectChange
-from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.split_merge import assign_fragments
 from subiaco_change.objects.column_volumes import NO_COLUMNS, OpenGround, compare_volumes, ground_columns
 from subiaco_change.objects.measures import MeasureConfig, measure
-from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, observed_on_both_sides
-from subiaco_geo.codes import Change, Semantic
+from subiaco_change.objects.voxel_objects import Voxels, observed_on_both_sides
 
 
 def voxels(xyz, instance=0, occupied_in_other=True, free_space_confirmed=False):
@@ -99,35 +94,3 @@ def test_voxels_that_were_not_looked_across_carry_nothing():
     before = voxels(block((0, 0, 0), (5, 5, 2)), occupied_in_other=False, free_space_confirmed=False)
     after = voxels(block((0, 0, 0), (5, 2, 2)))
     assert measure(before, after, MeasureConfig()).net_changed_fraction == 0.0
-
-
-def obj(xyz, instance, semantic):
-    cells = voxels(xyz, instance)
-    return ObjectInstance(instance, semantic, 0.9, np.arange(len(cells)), cells, 0.03)
-
-
-def change_of(before, after, semantic, change):
-    cells = [t.voxels for t in (*before, *after)]
-    kind = "one_to_one" if before and after else "none"
-    measures = measure(cells[0], cells[-1], MeasureConfig())
-    return ObjectChange(before, after, semantic, kind, measures, Decision(change, "", 1.0))
-
-
-@pytest.mark.parametrize(
-    ("label", "joins"), [(Change.INCREASED, True), (Change.DECREASED, True), (Change.UNCHANGED, False)]
-)
-def test_a_fragment_of_another_class_joins_the_changed_house_in_its_place(label, joins):
-    house_b = obj(block((0, 0, 0), (4, 4, 3)), 0, Semantic.BUILDING)
-    house_a = obj(block((0, 0, 0), (6, 4, 3)), 0, Semantic.BUILDING)
-    hedge = obj(block((4, 0, 0), (6, 4, 3)), 1, Semantic.VEGETATION)
-    far = obj(block((20, 0, 0), (21, 1, 3)), 2, Semantic.VEGETATION)
-    changes = [
-        change_of((house_b,), (house_a,), Semantic.BUILDING, label),
-        change_of((hedge,), (), Semantic.VEGETATION, Change.UNCHANGED),
-        change_of((far,), (), Semantic.VEGETATION, Change.UNCHANGED),
-    ]
-    found = assign_fragments(changes, [house_b, hedge, far], [house_a], AssociationConfig(), 0.5)
-    assert len(found) == (2 if joins else 3)
-    assert found[0].before == ((house_b, hedge) if joins else (house_b,))
-    assert found[0].match_kind == ("merge" if joins else "one_to_one")
-    assert found[-1].before == (far,)

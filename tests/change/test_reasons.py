@@ -117,15 +117,14 @@ def test_the_reason_of_any_measures_has_value_limit_and_conclusion(
 
 @given(
     plant=st.sampled_from([TREE, HEDGE]),
-    thin=st.booleans(),
     values=st.tuples(CHANGES, CHANGES, CHANGES, CHANGES, SHARES, SHARES),
 )
 def test_the_reason_of_any_plant_has_value_limit_and_conclusion(
-    plant: object, thin: bool, values: tuple[float, ...]
+    plant: object, values: tuple[float, ...]
 ) -> None:
     outline, top, volume, surface, gained, lost = values
     measured = replace(
-        plant, thin=thin, outline=outline / 5, top=top, volume=volume / 5, surface=surface / 5,
+        plant, outline=outline / 5, top=top, volume=volume / 5, surface=surface / 5,
         rise=top if plant is HEDGE else math.nan, free_gained=gained, free_lost=lost,
     )  # fmt: skip
     reason = decide_plant(measured, 0.03, CONFIG, no_null(NULL)).reason

@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_measures import block, change_of, obj
+from test_measures import block, voxels
 
 from subiaco_change.decisions.hanging_parts import join_hanging_parts
+from subiaco_change.decisions.object_decision import ObjectChange
+from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.measures import MeasureConfig, measure
+from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_change.segmentation.roof_structures import buildings_beneath
 from subiaco_geo.codes import Change, Semantic
 
@@ -17,6 +21,18 @@ DORMER = block((2, 0, 4), (4, 1.5, 6))
 OVERHANGING_CROWN = block((8, 2, 4), (15, 7, 9))
 CEILING = block((2, 2, 3), (6, 6, 3.5))
 BUSH_AT_THE_WALL = block((3, -1, 0), (6, 1, 6))
+
+
+def obj(xyz, instance, semantic):
+    cells = voxels(xyz, instance)
+    return ObjectInstance(instance, semantic, 0.9, np.arange(len(cells)), cells, 0.03)
+
+
+def change_of(before, after, semantic, change):
+    cells = [t.voxels for t in (*before, *after)]
+    kind = "one_to_one" if before and after else "none"
+    measures = measure(cells[0], cells[-1], MeasureConfig())
+    return ObjectChange(before, after, semantic, kind, measures, Decision(change, "", 1.0))
 
 
 def house_beneath(thing, house=HOUSE):

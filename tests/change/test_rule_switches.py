@@ -28,7 +28,7 @@ NEW = Measures(
 )  # fmt: skip
 HOUSE = replace(NEW, iou=0.8, delta_h=0.0, delta_v=0.0, volume=1000.0, new_share=0.1)
 CROWN = PlantMeasures(
-    kind="crown", density=0.0, size=2.0, voxels=300, thin=False, reach=2.0, outline=0.0, outline_sigma=0.03,
+    kind="crown", density=0.0, size=2.0, voxels=300, reach=2.0, outline=0.0, outline_sigma=0.03,
     top=0.0, volume=0.0, surface=0.0, rise=math.nan, rise_sigma=math.nan,
 )  # fmt: skip
 
@@ -138,17 +138,6 @@ def test_ground_under_another_class_is_no_change_until_the_rule_is_off():
     assert patches(area(0.4)) == 1
     assert patches(cells) == 0
     with rules_switched_off(["other_surface"]):
-        assert patches(cells) == 1
-
-
-def test_bridged_cells_do_not_tell_whether_a_surface_moved_until_the_rule_is_off():
-    """Both epochs hold both surfaces in every column that they measured; others took a height."""
-    cells = area(0.4)
-    own = np.zeros(cells.dz.shape, dtype=bool)
-    own[:, ::3] = True
-    cells = replace(cells, bridged=~own, other=own & (cells.dz > 0), inside=own & (cells.dz > 0))
-    assert patches(cells) == 0
-    with rules_switched_off(["both_measured"]):
         assert patches(cells) == 1
 
 

@@ -508,47 +508,6 @@ def test_the_edge_of_a_roof_alone_does_not_tell_how_far_a_house_rose():
     assert raised_house(deep=CELL).low < 0.3
 
 
-def set_back(tall, wide=LENGTH - 2, *, looked=True, stood=0.0):
-    """Change of height of a block on whose flat roof a storey stands 3 m back from the street.
-
-    The street sees the edge of the roof and the front of the storey. ``tall``, ``wide``: of the front [m].
-    ``looked``: whether the earlier survey saw that the place was free. ``stood``: height above the roof of
-    what it saw at the place [m].
-    """
-    edge = sheet((0, 0, TALL - CELL), (LENGTH, 3 * CELL, TALL))
-    ceilings = sheet((CELL, 3 * CELL, TALL - CELL), (LENGTH - CELL, DEPTH, TALL))
-    front = ((1.0, 3.0, TALL), (1.0 + wide, 3.0 + CELL, TALL + tall))
-    old = voxels(edge, ceilings, sheet(front[0], (*front[1][:2], TALL + stood)))
-    new = voxels(sheet(*front), occupied_in_other=False)
-    new = replace(new, observed=np.full(len(new), looked))
-    skies = [inside(OUT["street"], ((-9, -9, TALL), (30, deep, HIGH))) for deep in (DEPTH, 3.0)]
-    sides = zip((old, voxels(edge, ceilings).add(new)), skies, strict=True)
-    return rise_of(*(CarvingEpoch(*side, nothing_met) for side in sides))
-
-
-def test_the_front_of_a_storey_that_stands_back_from_the_edge_tells_how_far_a_block_rose():
-    found = set_back(TALL)
-    assert (found.low, found.high) == pytest.approx((TALL, TALL), abs=0.3)
-    with rules_switched_off(["storeys"]):
-        assert set_back(TALL).low < 0.3
-
-
-@pytest.mark.parametrize(
-    "wall",
-    [
-        {"tall": 0.9},
-        {"tall": TALL, "wide": 3.0},
-        {"tall": TALL, "looked": False},
-        {"tall": 2.5, "stood": 2.0},
-    ],
-    ids=["a railing", "a dormer", "its place was not observed", "nearly as tall before"],
-)
-def test_what_rises_from_a_roof_is_a_storey_only_where_it_is_new_tall_and_long(wall):
-    found = set_back(**wall)
-    with rules_switched_off(["storeys"]):
-        assert found == set_back(**wall)
-
-
 SLOPE = 2.5
 CHIMNEYS = [((x, 1.0, TALL), (x + 1.0, 2.0, TALL + 2.0)) for x in (2.0, 7.0)]
 

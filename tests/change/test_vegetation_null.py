@@ -14,7 +14,6 @@ from subiaco_change.decisions.plant_decisions import decide_plant, place_was_fre
 from subiaco_change.decisions.plant_measures import (
     OutlineConfig,
     PlantConfig,
-    _is_thin,
     compare_outlines,
     equal_density,
     free_shell,
@@ -34,7 +33,7 @@ from subiaco_geo.codes import Change
 
 NULL = VegetationNullConfig()
 TREE = PlantMeasures(
-    kind="crown", density=0.0, size=2.0, voxels=300, thin=False, reach=2.0, outline=0.0, outline_sigma=0.03,
+    kind="crown", density=0.0, size=2.0, voxels=300, reach=2.0, outline=0.0, outline_sigma=0.03,
     top=0.0, volume=0.0, surface=0.0, rise=math.nan, rise_sigma=math.nan,
 )  # fmt: skip
 HEDGE = replace(TREE, kind="hedge", rise=0.0, rise_sigma=0.02)
@@ -115,10 +114,9 @@ def test_a_wide_scatter_of_many_plants_without_a_change_is_measured_as_wide(sd, 
     assert fit_null(plants, NULL).expected(TREE, "outline").sd == pytest.approx(sd, rel=0.3)
 
 
-@pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize(("free", "claimed"), [(0.9, True), (0.65, False)])
-def test_growth_is_claimed_only_where_the_earlier_survey_saw_the_place_free(free, claimed, thin):
-    tree = replace(TREE, thin=thin, top=1.5, surface=0.3, outline=0.0 if thin else 0.6)
+def test_growth_is_claimed_only_where_the_earlier_survey_saw_the_place_free(free, claimed):
+    tree = replace(TREE, top=1.5, surface=0.3, outline=0.6)
     grown = label(replace(tree, free_gained=free, free_lost=0.0), no_null(NULL))
     assert grown.change is (Change.INCREASED if claimed else Change.UNCHANGED)
     assert ("was free in the earlier survey" in grown.reason) != claimed
@@ -270,26 +268,6 @@ def test_a_piece_of_a_hedge_changed_only_if_the_space_above_its_lower_tops_was_o
     assert label(replace(piece, tops_unseen=True, section_only=False), null).change is moved
 
 
-def leafless(count, loss):
-    """Return trees that kept their extent; one in five lost up to ``loss`` of its surface in leaves."""
-    calm = [replace(TREE, rise=0.0, rise_sigma=0.02, surface=v) for v in np.linspace(-0.03, 0.03, 4 * count)]
-    bare = [replace(TREE, rise=0.05, rise_sigma=0.02, surface=-v) for v in np.linspace(0.1, loss, count)]
-    return [*calm, *bare]
-
-
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_change_of_surface_that_leaves_alone_caused_in_the_pair_is_none(sign):
-    plants = [replace(p, surface=-sign * p.surface) for p in leafless(10, 0.3)]
-    null = fit_null(plants, NULL)
-    assert null.fits["crown/surface"].sd < 0.06
-    pruned = replace(TREE, rise=0.0, outline=0.12 * sign, surface=0.2 * sign)
-    assert label(pruned, null).change is Change.UNCHANGED
-    assert label(pruned, fit_null(plants[:40], NULL)).change is not Change.UNCHANGED
-    assert label(replace(pruned, surface=0.5 * sign), null).change is not Change.UNCHANGED
-    kept = [replace(p, outline=0.4, rise=0.4) for p in plants[40:]]
-    assert fit_null([*plants[:40], *kept], NULL).fits["crown/surface"].leaves < 0.05
-
-
 def test_few_points_of_some_plants_do_not_widen_the_scatter_of_the_others():
     rng = np.random.default_rng(3)
     known = [replace(TREE, rise=r, rise_sigma=0.03) for r in rng.normal(0.05, 0.04, 24)]
@@ -306,12 +284,6 @@ def test_a_share_of_few_voxels_is_no_evidence():
     calm = fit_null([replace(HEDGE, surface=v) for v in np.linspace(-0.03, 0.03, 15)], NULL)
     assert label(replace(shrub, voxels=300), calm).change is Change.INCREASED
     assert label(replace(shrub, voxels=8), calm).change is Change.UNCHANGED
-
-
-def test_a_pole_that_passes_for_a_plant_does_not_grow_by_what_was_seen_of_it():
-    pole = replace(TREE, thin=True, outline=0.9, volume=0.4, surface=0.6)
-    assert label(pole, no_null(NULL)).change is Change.UNCHANGED
-    assert label(replace(pole, thin=False), no_null(NULL)).change is Change.INCREASED
 
 
 def test_a_measure_against_the_direction_of_its_excess_claims_nothing():
@@ -375,19 +347,6 @@ def test_a_plant_that_grew_is_not_taken_for_one_that_is_denser():
 def test_at_equal_density_a_crown_with_a_third_of_the_points_keeps_its_outline(seed):
     before, after, _ = equal_density(crown(2400, 2.0, seed), crown(800, 2.0, seed + 10), PlantConfig())
     assert abs(compare_outlines(before, after, OutlineConfig()).shift) < 0.05
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 3])
-def test_the_shape_of_very_few_points_can_be_asked(count):
-    points = np.random.default_rng(1).random((count, 3)) * [0.01, 0.01, 5.0]
-    assert _is_thin(points, PlantConfig()) in {True, False}
-
-
-def test_a_pole_is_thin_and_a_crown_is_not():
-    rng = np.random.default_rng(2)
-    pole = rng.normal(size=(200, 3)) * 0.03 + np.column_stack([np.zeros((200, 2)), np.linspace(0, 5, 200)])
-    assert _is_thin(pole, PlantConfig())
-    assert not _is_thin(rng.random((200, 3)) * 4.0, PlantConfig())
 
 
 def test_a_top_that_few_voxels_or_a_ragged_crown_tell_is_no_growth():

@@ -27,12 +27,6 @@ class PartConfig(StrictModel):
         description="Height above ground below which a part must begin to be split off [m]; a voxel of the "
         "trunk above the foot that no epoch counts",
     )
-    hidden_foot: float = Field(
-        2.0,
-        gt=0,
-        description="Height above ground below which a tree with a top of its own must begin to be split off "
-        "[m]; parked cars and hedges hide trunks up to this height",
-    )
     top: float = Field(
         0.6,
         ge=0,
@@ -115,13 +109,6 @@ class AssociationConfig(StrictModel):
         description="Fraction of the voxels of a fragment that must lie inside an object for the two to "
         "be joined (Decision 9)",
     )
-    place_free: float = Field(
-        0.6,
-        gt=0,
-        le=1,
-        description="Fraction of the observed place of a building or plant that was free in the other "
-        "survey, from which it has no partner beside that place [1]",
-    )
     parts: PartConfig = PartConfig()
     apart: float = Field(
         0.15,
@@ -132,6 +119,7 @@ class AssociationConfig(StrictModel):
     stacked: float = Field(
         0.3, ge=0, le=1, description="Fraction of common columns from which two fragments are one object"
     )
+
     same_place: float = Field(
         0.5,
         gt=0,

@@ -12,16 +12,13 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import AssociationConfig
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import never, switchable
 from subiaco_change.objects.measures import oriented_rectangle, rectangle_iou
 from subiaco_change.objects.voxel_objects import ObjectInstance
-from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 #: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
 _PAPER_COST = NUMBERS.costs.paper_weights
 _PHI_REACH = NUMBERS.costs.intersection_reach
-_STILL = (Semantic.BUILDING, Semantic.VEGETATION)
 #: A scipy sparse array; scipy has no types.
 Sparse = Any
 
@@ -32,13 +29,8 @@ def candidate_costs(
     groups_b: Sequence[tuple[int, ...]],
     groups_a: Sequence[tuple[int, ...]],
     config: AssociationConfig,
-    counts: tuple[Sparse, Sparse] | None = None,
 ) -> tuple[Ints, Ints, Floats]:
-    """Gated pairs of groups (E,), (E,) and their chi-square costs (E,).
-
-    ``counts`` as of :func:`overlap_counts`: a building or plant whose place was seen free has no
-    partner that shares no voxel with it.
-    """
+    """Gated pairs of groups (E,), (E,) and their chi-square costs (E,)."""
     shapes_b = [_shape([before[i] for i in group]) for group in groups_b]
     shapes_a = [_shape([after[j] for j in group]) for group in groups_a]
     rows, columns, costs = [], [], []
@@ -48,8 +40,6 @@ def candidate_costs(
         distance = float(np.linalg.norm(b.centroid - a.centroid))
         if distance > config.gate_distance and overlap < config.gate_overlap:
             continue
-        if counts is not None and _is_elsewhere(before, after, (groups_b[i], groups_a[j]), counts, config):
-            continue
         rows.append(i)
         columns.append(j)
         costs.append(_cost(distance, overlap, b, a, config))
@@ -58,31 +48,6 @@ def candidate_costs(
         np.array(columns, dtype=np.int64),
         np.array(costs, dtype=np.float64),
     )
-
-
-@switchable("no_partner_elsewhere", never)
-def _is_elsewhere(
-    before: Sequence[ObjectInstance],
-    after: Sequence[ObjectInstance],
-    groups: tuple[tuple[int, ...], tuple[int, ...]],
-    counts: tuple[Sparse, Sparse],
-    config: AssociationConfig,
-) -> bool:
-    """Tell whether a building or plant was seen gone, and a candidate for it stands beside its place."""
-    of_b, of_a = list(groups[0]), list(groups[1])
-    if before[of_b[0]].semantic not in _STILL:
-        return False
-    if counts[0][of_b, :][:, of_a].sum() + counts[1][of_a, :][:, of_b].sum() > 0:
-        return False
-    sides = [before[i] for i in of_b], [after[j] for j in of_a]
-    return any(_seen_gone(objects, config.place_free) for objects in sides)
-
-
-def _seen_gone(objects: Sequence[ObjectInstance], least: float) -> bool:
-    """Tell whether at least this share of the observed voxels of objects lay in free space."""
-    observed = np.concatenate([t.voxels.observed for t in objects])
-    free = observed & ~np.concatenate([t.voxels.occupied_in_other for t in objects])
-    return bool(np.count_nonzero(free) >= max(least * np.count_nonzero(observed), 1))
 
 
 def _histogram_distance(before: Floats, after: Floats, bins: int) -> float:

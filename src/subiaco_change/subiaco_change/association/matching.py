@@ -55,7 +55,7 @@ def associate(
     forward, backward = overlap_counts(before, after, tolerance)
     groups_b = _group_fragments(before, forward, config)
     groups_a = _group_fragments(after, backward, config)
-    rows, columns, costs = candidate_costs(before, after, groups_b, groups_a, config, (forward, backward))
+    rows, columns, costs = candidate_costs(before, after, groups_b, groups_a, config)
     pairs = assign(len(groups_b), len(groups_a), rows, columns, costs, config.unmatched)
     matches = [Match(groups_b[i], groups_a[j]) for i, j in pairs]
     used_b = {i for match in matches for i in match.before}

@@ -3,8 +3,7 @@
 A vehicle of a queue that stood while a survey passed has the beams of a standing object. Whether it lasts
 cannot be seen in one epoch. The survey vehicle itself tells: where it drove, the place is carriageway.
 No traffic crosses a standing object there: where mapping recorded moving objects in most columns of an object
-in the lane, the object was a vehicle too. A cloud without counts of beams leaves the shape: what has not the
-shape of a vehicle, is no higher than one and lies in the lane is the trail of one that passed.
+in the lane, the object was a vehicle too.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.objects.voxel_objects import ObjectInstance
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
+from subiaco_geo.codes import ONE_EPOCH, Change
 from subiaco_geo.frames import Floats
 
 _HALF_WIDTH = NUMBERS.driven_lane.half_width
@@ -200,25 +199,6 @@ def decide_in_traffic(
     reason = f"{share:.0%} of the object lies in the lane that a survey vehicle drove through, and moving"
     reason += f" objects crossed {crossed:.0%} of its place while it was mapped (limit {_CROSSED:.0%}): a"
     return Decision(Change.NOT_REPORTED, f"{reason} vehicle of the traffic.", crossed / _CROSSED)
-
-
-@switchable("shapeless_in_lane", no_decision)
-def decide_shapeless(
-    objects: Sequence[ObjectInstance], semantic: Semantic, lanes: Sequence[Observed], rules: DecisionConfig
-) -> Decision | None:
-    """Decide what one epoch without counted beams alone holds in a driven lane, without a vehicle's shape.
-
-    Parked vehicles and containers keep their shape in a map; nothing grows in the lane.
-    """
-    counted = any(len(t.passed) for t in objects)
-    shapeless = semantic in (Semantic.VEGETATION, Semantic.OTHER) and fits_a_vehicle(objects, rules)
-    share = share_in_lane(objects, lanes) if shapeless and not counted else 0.0
-    if share < _SHARE:
-        return None
-    reason = f"{share:.0%} of the object lies in the lane that a survey vehicle drove through (limit"
-    reason += f" {_SHARE:.0%}), it has not the shape of a vehicle, and the cloud has no counts of beams: the"
-    reason += " object is the trail of a vehicle."
-    return Decision(Change.NOT_REPORTED, reason, share / _SHARE)
 
 
 def _unlimited(_: object, __: float, confidence: float, reason: str, *___: object) -> tuple[float, str]:

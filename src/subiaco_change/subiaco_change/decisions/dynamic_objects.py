@@ -18,7 +18,6 @@ from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, applies, no_decision, switchable
 from subiaco_change.objects.voxel_objects import (
-    NO_OBJECT,
     EpochView,
     ObjectInstance,
     is_ghost_trail,
@@ -27,29 +26,25 @@ from subiaco_change.objects.voxel_objects import (
 )
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.frames import Floats
 
 Observed = Callable[[Floats], Mask]
 Moved = Callable[[Floats], Floats]
 _BESIDE = NUMBERS.dynamic_objects.visibility_step
 _LANE = NUMBERS.dynamic_objects.lane_reach
 _WITHIN = NUMBERS.dynamic_objects.lane_share
-_WALL = NUMBERS.dynamic_objects.wall_contact
 
 
 @dataclass(frozen=True)
 class OwnEpochEvidence:
     """What the survey of an epoch itself knows of the places where its objects stand.
 
-    ``observed`` tells which places (N, 3) it saw; ``traffic`` holds the trails it is sure of, ``buildings``
-    the points of buildings, whose instances (B,) are ``building_of``; ``ground`` (G, 2) the ground points,
-    where nothing counted beams.
+    ``observed`` tells which places (N, 3) it saw; ``traffic`` holds the trails it is sure of; ``ground``
+    (G, 2) the ground points, where nothing counted beams.
     """
 
     observed: Observed
     traffic: cKDTree
-    buildings: cKDTree | None = None
-    building_of: Ints | None = None
     ground: cKDTree | None = None
 
     def through(self, objects: Sequence[ObjectInstance]) -> float:
@@ -63,27 +58,12 @@ class OwnEpochEvidence:
         distance = self.traffic.query(places, distance_upper_bound=_LANE)[0]
         return bool(np.isfinite(distance).mean() >= _WITHIN)
 
-    def adjoins_building(self, objects: Sequence[ObjectInstance]) -> bool:
-        """Tell whether objects touch another building over the height of a wall: vehicles keep clear."""
-        if self.buildings is None or self.building_of is None or self.buildings.n == 0:
-            return False
-        places = np.concatenate([t.xyz for t in objects])
-        near = self.buildings.query_ball_point(places, _BESIDE)
-        slot = np.repeat(np.arange(len(places)), [len(n) for n in near])
-        found = np.concatenate([np.asarray(n, dtype=np.int64) for n in near])
-        other = ~np.isin(self.building_of[found], [t.instance for t in objects])
-        heights = places[np.unique(slot[other]), 2]
-        return len(heights) > 0 and float(np.ptp(heights)) >= _WALL
-
 
 def own_epoch_evidence(view: EpochView, observed: Observed) -> OwnEpochEvidence:
     """Gather what the survey of an epoch knows of itself."""
-    building = (view.semantic == Semantic.BUILDING) & (view.instance != NO_OBJECT)
     return OwnEpochEvidence(
         observed,
         cKDTree(view.xyz[is_ghost_trail(view)]),
-        cKDTree(view.xyz[building]),
-        view.instance[building].astype(np.int64),
         cKDTree(view.xyz[view.semantic == Semantic.GROUND, :2]) if view.passed is None else None,
     )
 
@@ -103,11 +83,7 @@ def decide_moving_object_trail(
     """
     moved = mean_moving_probability(objects)
     if moved is not None:
-        return (
-            _by_probability(moved, objects, rules, free)
-            if may_have_moved(objects, semantic, own, rules)
-            else None
-        )
+        return _by_probability(moved, objects, rules, free) if fits_a_vehicle(objects, rules) else None
     top = max(float(t.voxels.height.max()) for t in objects)
     passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in objects)
     least = min(rules.trail_passes_high, rules.trail_passes_lane)
@@ -148,16 +124,6 @@ def _by_probability(
 def joint_probability(moved: float, free: float) -> float:
     """Return the probability that an object stood, and that its place was free in the other epoch."""
     return (1.0 - moved) * free
-
-
-def may_have_moved(
-    objects: Sequence[ObjectInstance], semantic: Semantic, own: OwnEpochEvidence | None, rules: DecisionConfig
-) -> bool:
-    """Tell whether objects may be what a road vehicle left: as low as one, and no part of a building."""
-    if not fits_a_vehicle(objects, rules):
-        return False
-    wall = own is not None and semantic is Semantic.BUILDING and own.adjoins_building(objects)
-    return not applies("wall_at_building", wall)
 
 
 @switchable("higher_than_vehicles", always)

@@ -135,22 +135,13 @@ def _is_interpolated(where: Mask, cells: GroundCells, config: GroundChangeConfig
 def _is_other_surface(where: Mask, cells: GroundCells, config: GroundChangeConfig) -> bool:
     """Tell whether both epochs hold the surfaces of a patch, so that no ground moved.
 
-    Only cells that both epochs measured tell; others took the height of their neighbours. The cells on the
-    rim do not count where others are left: beside them lies what surrounds the patch.
+    The cells on the rim do not count where others are left: beside them lies what surrounds the patch.
     """
     measured = where & np.isfinite(cells.dz)
-    measured = _of_both(measured, cells.bridged)
     inner = measured & ndimage.binary_erosion(where, np.ones((3, 3)))
     counted = inner if np.count_nonzero(inner) >= _INNER * np.count_nonzero(measured) else measured
     shares = float(cells.other[counted].mean()), float(cells.inside[counted].mean())
     return shares[0] >= config.same_share and shares[1] >= config.same_inside
-
-
-@switchable("both_measured", first_argument)
-def _of_both(measured: Mask, bridged: Mask) -> Mask:
-    """Return those measured cells that are not bridged, or all where there are none."""
-    own = measured & ~bridged
-    return own if own.any() else measured
 
 
 def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:

@@ -15,10 +15,8 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.hanging_parts import join_hanging_parts
-from subiaco_change.decisions.hedges_in_line import join_hedges_in_line
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.split_merge import (
-    assign_fragments,
     join_building_extensions,
     join_hidden_walls,
     part_hardly_overlapping,
@@ -31,7 +29,6 @@ from subiaco_change.decisions.standing_trunks import join_standing_trunks
 from subiaco_change.instance_splitting.felled_crowns import split_felled_crowns
 from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.instance_splitting.places_seen_free import places_seen_free
-from subiaco_change.instance_splitting.trees_over_shrubs import split_trees_over_shrubs
 from subiaco_change.objects.column_volumes import OpenGround, ground_columns
 from subiaco_change.objects.known_space import KnownSpace
 from subiaco_change.objects.measures import footprint, same_place
@@ -89,11 +86,8 @@ def compare_objects(
     changes.extend(decide_object((), (t,), t.semantic, rules) for t in objects_after if t.is_part)
     changes = split_multi_body_matches(part_hardly_overlapping(changes, rules), rules)
     changes = split_row_houses(join_building_extensions(changes, rules), rules)
-    changes = join_hedges_in_line(split_hedge_segments(changes, rules), rules)
-    changes = join_standing_trunks(changes, rules)
-    changes = join_hidden_walls(changes, rules)
-    changes = assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
-    return join_hanging_parts(changes)
+    changes = join_standing_trunks(split_hedge_segments(changes, rules), rules)
+    return join_hanging_parts(join_hidden_walls(changes, rules))
 
 
 def _with_standing(space: KnownSpace, view: EpochView) -> KnownSpace:
@@ -115,8 +109,7 @@ def _with_parts(
     seen_free = places_seen_free(joined, views[1], reach, rules.spaces[other].free)
     ends = np.cumsum([len(t.voxels) for t in objects])[:-1]
     free = np.split(seen_free, ends) if objects else []
-    parted = split_one_epoch_parts(objects, rules.association.parts, free)
-    return split_trees_over_shrubs(parted, rules.spaces[other].below_view, rules.association.parts)
+    return split_one_epoch_parts(objects, rules.association.parts, free)
 
 
 def _parts(

@@ -94,7 +94,7 @@ def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null:
 def _decide_tops_alone(plant: PlantMeasures, config: DecisionConfig, null: VegetationNull) -> Decision:
     """Decide a plant without level of detection: by the tops of its columns, whose error is their own."""
     tops = _excesses(plant, config.lod_floor, config.vegetation, null)["rise"]
-    if plant.thin or abs(tops.strength) <= 1:
+    if abs(tops.strength) <= 1:
         return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     return _supported(_decision(plant, tops), plant, config)
 
@@ -161,12 +161,12 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: PlantLimits, null: V
     found = _excesses(plant, gate, rules, null)
     columns, outline = found["rise"], found["outline"]
     known = math.isfinite(plant.rise)
-    extent = [] if plant.thin else [columns, outline]
+    extent = [columns, outline]
     for measure in extent:
         if abs(measure.strength) > 1:
             return _decision(plant, measure)
     voxels_tell = not known and not _are_tops_unseen(plant)
-    names = ("top",) if plant.thin else ("top", "volume", "surface") if voxels_tell else ("volume", "surface")
+    names = ("top", "volume", "surface") if voxels_tell else ("volume", "surface")
     candidates = [found[name] for name in names]
     by_surface = _decide_by_surface(plant, candidates, extent, found, rules)
     if by_surface is not None:
@@ -280,8 +280,6 @@ def _excesses(
         expected = null.expected(plant, measure)
         sd = _sigma(plant, measure, expected.sd)
         least = max(limit, null.certain * sd)
-        if applies("leaves_of_the_pair", expected.leaves > least):
-            least = expected.leaves
         found[measure] = _Excess(measure, plant.value(measure), expected, least, sd)
     return found
 
@@ -309,7 +307,8 @@ def _decision(plant: PlantMeasures, found: _Excess) -> Decision:
     if not math.isfinite(found.value):
         return Decision(
             Change.UNCHANGED,
-            f"{_name(plant)}: the surveys share too few points of the plant, and no change is claimed.",
+            f"{plant.kind.capitalize()}: the surveys share too few points of the plant, and no change is"
+            " claimed.",
             0.0,
         )
     change = Change.UNCHANGED
@@ -331,12 +330,8 @@ def _compared(plant: PlantMeasures, found: _Excess) -> str:
         rest += f" {_quantity(expected.shift, unit)} {scatter}"
     else:
         rest = f"this pair has too few {others}, so that the scatter of simulated pairs counts {scatter}"
-    changed = f"{_name(plant)}: {_NAMES[found.measure]} changed by {_quantity(found.value, unit)}"
+    changed = f"{plant.kind.capitalize()}: {_NAMES[found.measure]} changed by {_quantity(found.value, unit)}"
     return f"{changed}, {rest}. The excess of {_quantity(found.excess, unit, more=found.more)}"
-
-
-def _name(plant: PlantMeasures) -> str:
-    return "Thin object without a crown" if plant.thin else plant.kind.capitalize()
 
 
 def _quantity(value: float, unit: str, *, sign: bool = True, more: int = 0) -> str:

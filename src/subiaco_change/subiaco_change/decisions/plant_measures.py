@@ -19,7 +19,7 @@ from scipy.special import expit, logit
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import never, switchable
+from subiaco_change.method_rules.switches import switchable
 from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.known_space import ALL_FREE, KnownSpace, KnownSpaces
 from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
@@ -130,14 +130,6 @@ class PlantConfig(StrictModel):
         8, ge=1, description="Number of voxels occupied in both epochs that a ratio of point densities needs"
     )
     low: float = Field(3.0, gt=0, description="Top height below which plants are hedges or shrubs [m]")
-    thin: float = Field(
-        0.7, gt=0, description="Width below which a tall object of class vegetation has no crown [m]"
-    )
-    slender: float = Field(
-        4.0,
-        gt=1,
-        description="Ratio of height to width from which an object of class vegetation has no crown",
-    )
     shell: float = Field(
         0.3,
         gt=0,
@@ -209,7 +201,6 @@ def measure_plant(
         density=density,
         size=_size(both),
         voxels=measures.observed_voxels,
-        thin=not low and any(_is_thin(xyz, config) for xyz in (first, second)),
         reach=outline.reach,
         outline=outline.shift,
         outline_sigma=outline.sigma,
@@ -368,15 +359,3 @@ def _size(xyz: Floats) -> float:
     """Mean distance of points (N, 3) from their middle [m]."""
     middle = 0.5 * (np.quantile(xyz, 0.05, axis=0) + np.quantile(xyz, 0.95, axis=0))
     return max(float(np.linalg.norm(xyz - middle, axis=1).mean()), 0.1)
-
-
-@switchable("thin_plants", never)
-def _is_thin(xyz: Floats, config: PlantConfig) -> bool:
-    """Tell whether nine tenths of points (N, 3) lie in a narrow and tall place: a pole or a trunk."""
-    if len(xyz) < 2:
-        return False
-    step = xyz[:, :2] - xyz[:, :2].mean(axis=0)
-    axes = np.linalg.eigh(step.T @ step)[1].T[::-1]  # long side first; always two of them
-    low, high = np.quantile(np.column_stack([step @ axes.T, xyz[:, 2]]), [0.05, 0.95], axis=0)
-    _, narrow, height = (high - low).tolist()
-    return bool(narrow < config.thin and height > config.slender * narrow)

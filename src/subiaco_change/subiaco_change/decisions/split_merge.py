@@ -21,7 +21,6 @@ from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.instance_splitting.building_extensions import (
     find_building_extensions,
     gaps_to_host,
-    is_smooth_surface,
     remoteness,
 )
 from subiaco_change.instance_splitting.hedge_sections import HedgeSection, changed_sections, section_labels
@@ -33,7 +32,7 @@ from subiaco_change.instance_splitting.merged_instances import (
 )
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, first_argument, never, no_decision, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, height_of, join_voxels
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
@@ -50,16 +49,7 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
 
     An extension seen from few sides may have passed for a vehicle or a plant: what is built tells.
     """
-    numbers = [
-        i
-        for i, change in enumerate(changes)
-        if change.semantic is Semantic.BUILDING
-        or (
-            change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
-            and change.decision.change in ONE_EPOCH
-            and is_smooth_surface(join_voxels((*change.before, *change.after)))
-        )
-    ]
+    numbers = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
     if rules.association.parts.points == 0:
         return changes
     pairs = [_bodies(changes[i], rules.measures.carving.room) for i in numbers]
@@ -94,24 +84,12 @@ def _with_extensions(
 ) -> list[ObjectChange]:
     """Decide a building with the parts that touch it: those of places that both surveys observed.
 
-    A part of which the other survey hardly observed the place belongs to the building if, with it, a change
-    is claimed: of a wing, the house hides the rear.
+    The other parts keep rows of their own.
     """
     seen = [p for p in parts if p.decision.change is not Change.UNOBSERVED or _is_seen_alone(p, rules)]
     hidden = [p for p in parts if not any(p is other for other in seen)]
     told = _extended(host, seen, rules, following) if seen else [host]
-    if not hidden or any(part.decision.change in CHANGED for part in told):
-        return [*told, *hidden]
-    return _with_rear(host, parts, rules, following) or [*told, *hidden]
-
-
-@switchable("rear_of_extension", no_decision)
-def _with_rear(
-    host: ObjectChange, parts: Sequence[ObjectChange], rules: ObjectRules, following: int
-) -> list[ObjectChange] | None:
-    """Decide a building with all parts that touch it; None where no change is claimed."""
-    told = _extended(host, parts, rules, following)
-    return told if any(part.decision.change in CHANGED for part in told) else None
+    return [*told, *hidden]
 
 
 def _is_seen_alone(change: ObjectChange, rules: ObjectRules) -> bool:
@@ -247,7 +225,7 @@ def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
 def part_hardly_overlapping(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the objects of a match apart where they overlap too little to be compared (paper: limit of IoU).
 
-    A house that was built over the remains of a wall is a new house, and so is a wall beside a former fence.
+    A house that was built over the remains of a wall is a new house.
     """
     told: list[ObjectChange] = []
     for change in changes:
@@ -416,49 +394,6 @@ def _decide_fence(section: HedgeSection) -> Decision:
     return Decision(change, reason, abs(section.rise) / section.gate)
 
 
-@switchable("fragments_of_changed_objects", first_argument)
-def assign_fragments(
-    changes: list[ObjectChange],
-    objects_before: Sequence[ObjectInstance],
-    objects_after: Sequence[ObjectInstance],
-    config: AssociationConfig,
-    tolerance: float,
-) -> list[ObjectChange]:
-    """Let left-over fragments join the changed object that the other epoch holds in their place.
-
-    A part of a wall may look like a hedge in one epoch: its class keeps it
-    from its partner, its place does not, and every point of a changed object
-    carries its label. Statistics stay those of the object without them.
-    """
-    if not objects_before or not objects_after:
-        return changes
-    overlaps = overlap_counts(objects_before, objects_after, tolerance)
-    slots = [{t.instance: i for i, t in enumerate(objects)} for objects in (objects_before, objects_after)]
-    hosts = {
-        (epoch, part.instance): number
-        for number, change in enumerate(changes)
-        if change.decision.change in (Change.INCREASED, Change.DECREASED)
-        for epoch, parts in enumerate((change.before, change.after))
-        for part in parts
-    }
-    joined: dict[int, list[int]] = {}
-    for number, change in enumerate(changes):
-        if change.match_kind != "none" or change.decision.change is not Change.UNCHANGED:
-            continue
-        epoch = 0 if change.before else 1
-        part = (*change.before, *change.after)[0]
-        if part.instance not in slots[epoch]:  # a piece of one, which was decided with the other pieces
-            continue
-        row = overlaps[epoch][[slots[epoch][part.instance]], :].tocoo()
-        if row.nnz == 0 or row.data.max() <= config.contained * len(part.voxels):
-            continue
-        other = (objects_after, objects_before)[epoch][int(row.col[row.data.argmax()])]
-        host = hosts.get((1 - epoch, other.instance))
-        if host is not None:
-            joined.setdefault(host, []).append(number)
-    return join_rows(changes, joined)
-
-
 def join_rows(changes: Sequence[ObjectChange], joined: Mapping[int, Sequence[int]]) -> list[ObjectChange]:
     """Let rows join others by position; every row that is left keeps its own decision and measures."""
     gone = {number for numbers in joined.values() for number in numbers}
@@ -488,11 +423,7 @@ def _classes_as_they_are(
 def unify_classes(
     before: list[ObjectInstance], after: list[ObjectInstance], config: AssociationConfig, tolerance: float
 ) -> tuple[list[ObjectInstance], list[ObjectInstance]]:
-    """Give one object one class (C6): where two objects mostly coincide, the better score wins.
-
-    An object with the shape of a vehicle in one epoch is no plant in the other: a vehicle that is half hidden
-    is as rough as a plant.
-    """
+    """Give one object one class (C6): where two objects mostly coincide, the better score wins."""
     if not before or not after:
         return before, after
     forward, backward = overlap_counts(before, after, tolerance)
@@ -506,7 +437,5 @@ def unify_classes(
         if min(shares) < config.same_place:
             continue
         winner = b.semantic if b.score >= a.score else a.semantic
-        if applies("vehicles_as_plants", {b.semantic, a.semantic} == {Semantic.MOBILE, Semantic.VEGETATION}):
-            winner = Semantic.MOBILE
         before[i], after[j] = replace(b, semantic=winner), replace(a, semantic=winner)
     return before, after

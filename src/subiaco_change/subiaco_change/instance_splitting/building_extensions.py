@@ -21,22 +21,12 @@ from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.frames import Floats
 
 _ROUND = NUMBERS.building_extensions.enclosing_share
-_CAR = NUMBERS.building_extensions.car_height
 _ROOM = NUMBERS.building_extensions.room_height
-_LEANS = NUMBERS.building_extensions.second_contact
 _WITHIN = NUMBERS.building_extensions.host_inside
 _PARTY = NUMBERS.building_extensions.party_wall
-_BESIDE = NUMBERS.building_extensions.neighbour_inside
-_HALF_STOREY = NUMBERS.building_extensions.half_storey
 _PLACES = NUMBERS.building_extensions.host_places
 _GAP = NUMBERS.building_extensions.host_gap
 _ADJOINS = NUMBERS.building_extensions.least_contact
-_UNDERSIDE = NUMBERS.building_extensions.underside
-_NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
-_HIDDEN = NUMBERS.building_extensions.wall_seen
-_SMOOTH = NUMBERS.building_extensions.smoothness
-_FACING = NUMBERS.building_extensions.facing
-_SLOPED = NUMBERS.building_extensions.sloped
 _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
@@ -65,8 +55,8 @@ def find_building_extensions(
     -------
     dict
         An extension is as high as a room and touches its host; it is smaller than
-        ``subordinate`` of it and no half storey taller, or stands round it. A house with an
-        open gap beside it is no extension.
+        ``subordinate`` of it, or stands round it. A house with an open gap beside it is no
+        extension.
     """
     known = list(pairs)
     extensions: dict[int, int] = {}
@@ -138,9 +128,8 @@ def _touching_extensions(
         if not any(len(g) for g in gaps):
             continue
         keys = [remoteness(g) for g in gaps]
-        nearest = min(keys)
-        contact = [len(g) if key[0] == nearest[0] else 0 for g, key in zip(gaps, keys, strict=True)]
-        host = hosts[keys.index(nearest)]
+        nearest = keys.index(min(keys))
+        host, contact = hosts[nearest], len(gaps[nearest])
         if _is_extension(pair[epoch], pairs[host], epoch, contact, config, ground.bare(epoch)):
             extensions[number] = host
     return extensions
@@ -150,69 +139,26 @@ def _is_extension(
     extension: Voxels,
     host: tuple[Voxels, Voxels],
     epoch: int,
-    contact: Sequence[int],
+    contact: int,
     config: PartConfig,
     bare: Empty,
 ) -> bool:
     """Tell whether a part of one epoch alone is an extension of the building that the part touches most.
 
-    ``bare`` tells of places (N, 2) whether that epoch met the ground there.
+    ``contact``: number of places of the part that touch the building. ``bare`` tells of places (N, 2)
+    whether that epoch met the ground there.
     """
-    body, other = host[epoch], host[1 - epoch]
-    round_it = max(contact) >= _ROUND * len(extension)
-    free = float(extension.observed_unoccupied.mean())
-    hidden = round_it and free < _HIDDEN and _share_above(extension, other) >= _BESIDE
-    if applies("hidden_wall_of_extension", hidden):
-        return True  # a wall of the house that an extension of the other epoch hides
+    other = host[1 - epoch]
     if before_walls(extension.xyz, other).mean() > _LAYER:
         return False
-    leans = len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(extension)
-    beside = max(contact) < _ADJOINS * len(extension)
-    if beside or _top(extension) < _ROOM or applies("part_between_buildings", leans):
+    if contact < _ADJOINS * len(extension) or _top(extension) < _ROOM:
         return False
     whole = max(_enclosed_volume(v) for v in host)  # as large as the survey that saw more of it shows
     share = _enclosed_volume(extension) / max(whole, 1e-9)
-    if share >= config.subordinate and not round_it:
+    if share >= config.subordinate and contact < _ROUND * len(extension):
         stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
         return applies("part_as_large_as_building", stood)
-    if _is_elevated(extension, body) or _is_open_roof(extension, bare):
-        return False
-    beside_house = _share_above(extension, other) < _BESIDE and not round_it
-    return not (beside_house and _is_taller(extension, body))
-
-
-@switchable("smooth_extensions", never)
-def is_smooth_surface(voxels: Voxels) -> bool:
-    """Tell walls and roofs from cars and leaves, whatever their class.
-
-    They are taller than a car and smooth, and face the directions of one rectangle.
-    """
-    if len(voxels) < _NEIGHBOURS or voxels.height.max() < _CAR:
-        return False
-    near = cKDTree(voxels.xyz).query(voxels.xyz, k=_NEIGHBOURS)[1][:, 1:]
-    along = np.abs(np.einsum("ikj,ij->ik", voxels.normal[near], voxels.normal))
-    return bool(along.mean() >= _SMOOTH) and rectangularity(voxels.normal) >= _FACING
-
-
-def rectangularity(normal: Floats) -> float:
-    """Return how well surfaces face the four directions of one rectangle, seen from above.
-
-    Parameters
-    ----------
-    normal : (N, 3) float64
-        Unit normals of either sign.
-
-    Returns
-    -------
-    float
-        Length of the mean of four times the azimuth, on the unit circle, of what is not level: 1 for a
-        house, near 0 for a crown; 1 if all is level.
-    """
-    steep = np.hypot(normal[:, 0], normal[:, 1]) > _SLOPED
-    if not steep.any():
-        return 1.0
-    azimuth = np.arctan2(normal[steep, 1], normal[steep, 0])
-    return float(np.abs(np.exp(4j * azimuth).mean()))
+    return not _is_open_roof(extension, bare)
 
 
 def _inside(host: Floats, extension: Floats) -> float:
@@ -220,30 +166,11 @@ def _inside(host: Floats, extension: Floats) -> float:
     return float(in_outline_of(extension[:, :2], host[:, :2], -_PARTY).mean()) if len(host) else 0.0
 
 
-@switchable("crown_beside_building", never)
-def _is_elevated(extension: Voxels, host: Voxels) -> bool:
-    """Tell a crown from an extension: it begins high above the ground beside its host, not above it."""
-    if extension.height.min() < max(_CAR, _UNDERSIDE * extension.height.max()):
-        return False
-    return _share_above(extension, host) < 0.5
-
-
 @switchable("open_roofs", never)
 def _is_open_roof(extension: Voxels, bare: Empty) -> bool:
     """Tell a carport or a pergola from a wing: little stands below its roof, and the ground there was met."""
     roof = extension.height > _top(extension) - _THICK
     return bool(roof.mean() >= _ROOF and bare(extension.xyz[roof, :2]).mean() >= _BARE)
-
-
-@switchable("taller_neighbour", never)
-def _is_taller(extension: Voxels, host: Voxels) -> bool:
-    """Tell whether an extension is taller than its host by half a storey."""
-    return _top(extension) - _top(host) > _HALF_STOREY
-
-
-def _share_above(extension: Voxels, host: Voxels) -> float:
-    """Share of an extension above or within the outline of its host."""
-    return float(in_outline_of(host.xyz[:, :2], extension.xyz[:, :2]).mean())
 
 
 def gaps_to_host(extension: Floats, host: Floats, touch: float) -> Floats:

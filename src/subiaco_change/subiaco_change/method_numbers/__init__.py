@@ -11,16 +11,12 @@ from subiaco_change.method_numbers.association_numbers import (
     CostsNumbers,
     FelledCrownsNumbers,
     HedgeSectionsNumbers,
-    HedgesInLineNumbers,
     MergedInstancesNumbers,
     OneEpochPartsNumbers,
     PlacesSeenFreeNumbers,
     RowsOfHousesNumbers,
     SplitMergeNumbers,
     StandingTrunksNumbers,
-    TreesOverShrubsNumbers,
-    VehicleBodiesNumbers,
-    VehiclePartsNumbers,
 )
 from subiaco_change.method_numbers.decision_numbers import (
     AbsenceNumbers,
@@ -113,16 +109,12 @@ class MethodNumbers(StrictModel):
     costs: CostsNumbers = CostsNumbers()
     felled_crowns: FelledCrownsNumbers = FelledCrownsNumbers()
     hedge_sections: HedgeSectionsNumbers = HedgeSectionsNumbers()
-    hedges_in_line: HedgesInLineNumbers = HedgesInLineNumbers()
     standing_trunks: StandingTrunksNumbers = StandingTrunksNumbers()
     merged_instances: MergedInstancesNumbers = MergedInstancesNumbers()
     one_epoch_parts: OneEpochPartsNumbers = OneEpochPartsNumbers()
     places_seen_free: PlacesSeenFreeNumbers = PlacesSeenFreeNumbers()
     rows_of_houses: RowsOfHousesNumbers = RowsOfHousesNumbers()
     split_merge: SplitMergeNumbers = SplitMergeNumbers()
-    trees_over_shrubs: TreesOverShrubsNumbers = TreesOverShrubsNumbers()
-    vehicle_bodies: VehicleBodiesNumbers = VehicleBodiesNumbers()
-    vehicle_parts: VehiclePartsNumbers = VehiclePartsNumbers()
     instances: InstancesNumbers = InstancesNumbers()
     raised_ground: RaisedGroundNumbers = RaisedGroundNumbers()
     roof_structures: RoofStructuresNumbers = RoofStructuresNumbers()

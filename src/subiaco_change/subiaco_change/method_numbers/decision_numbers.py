@@ -51,7 +51,6 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of its outline that touches a building from which a part of any size "
         "encloses the building",
     )
-    car_height: float = Field(2.3, description="Largest height of a car [m]")
     fence_height: float = Field(
         2.0, description="Largest height above ground of a fence between two lots [m]"
     )
@@ -72,11 +71,6 @@ class BuildingExtensionsNumbers(StrictModel):
         0.5,
         description="Difference of distance from which the nearer house is the host of an extension [m]",
     )
-    second_contact: float = Field(
-        0.25,
-        description="Fraction of the outline of a part that touches a second building from which the part "
-        "belongs to neither",
-    )
     host_inside: float = Field(
         0.3,
         description="Fraction of a building inside a part of one epoch from which the part is the "
@@ -86,42 +80,6 @@ class BuildingExtensionsNumbers(StrictModel):
         0.5,
         description="Distance from the edge of an outline within which a wall is shared with the "
         "neighbour [m]",
-    )
-    neighbour_inside: float = Field(
-        0.5,
-        description="Fraction of a neighbour that may lie within the outline of a building in the epoch "
-        "without it",
-    )
-    underside: float = Field(
-        0.6,
-        description="Height of the underside of a part, as a fraction of the height of its top, above "
-        "which nothing carries the part",
-    )
-    half_storey: float = Field(
-        1.5,
-        description="Height difference from which an adjoining part is another house [m]",
-    )
-    normal_neighbours: int = Field(
-        6,
-        description="Number of voxels whose normals are compared, the voxel itself included",
-    )
-    wall_seen: float = Field(
-        0.5,
-        description="Fraction of a wall that must be observed to be absent where something occludes the wall",
-    )
-    smoothness: float = Field(
-        0.78,
-        description="Smallest mean cosine between the normals of neighbours on a wall or roof, as a "
-        "ratio; foliage mostly stays below 0.75",
-    )
-    facing: float = Field(
-        0.4,
-        description="Smallest agreement of the azimuths of the normals of a part of a building with one "
-        "rectangle, as a ratio from 0 to 1; houses have 0.6 to 1, crowns 0 to 0.2",
-    )
-    sloped: float = Field(
-        0.3,
-        description="Horizontal component of a normal from which its azimuth counts, as a ratio",
     )
     joint: float = Field(
         0.7,
@@ -292,11 +250,6 @@ class DynamicObjectsNumbers(StrictModel):
     lane_share: float = Field(
         0.9,
         description="Fraction of the points of an object that must lie in the lane of a ghost trail",
-    )
-    wall_contact: float = Field(
-        1.5,
-        description="Height over which an object touches a building from which the object is a part of the "
-        "building, and no vehicle [m]",
     )
 
 
@@ -546,19 +499,6 @@ class ViewOfCrownsNumbers(StrictModel):
 class ObjectDecisionNumbers(StrictModel):
     """Numbers of ``decisions/object_decision.py``."""
 
-    flat_top: float = Field(
-        0.6,
-        description="Largest height of an object without class that may be raised ground [m]",
-    )
-    laid_top: float = Field(
-        0.5,
-        description="Largest height of a supposed vehicle or plant that may be ground [m]; vehicles are "
-        "higher",
-    )
-    level_normal: float = Field(
-        0.75,
-        description="Smallest mean vertical component of normals of misclassified ground, as a ratio",
-    )
     floating: float = Field(
         0.5, description="Height above the ground from which an object that touches nothing floats [m]"
     )
@@ -654,16 +594,6 @@ class SpaceCarvingNumbers(StrictModel):
         description="Fraction of the columns of a building that adjoin each other, and rose or fell for"
         " certain, from which they tell how the height changed; an area as large as a room is enough",
     )
-    parapet: float = Field(
-        1.0,
-        description="Height above a roof beyond which a wall on the roof is that of a storey [m]; parapets"
-        " and railings are no higher",
-    )
-    dormer: float = Field(
-        4.0,
-        description="Length beyond which a wall above a roof is that of a storey [m]; dormers and chimneys"
-        " are shorter",
-    )
     roof_normal: float = Field(
         0.7,
         description="Smallest vertical component of the normal of a roof, as a ratio",
@@ -690,16 +620,6 @@ class VegetationNullNumbers(StrictModel):
     settled: float = Field(1e-6, description="Gain of the log likelihood that ends the rounds [1]")
     prior_plants: float = Field(
         4.0, description="Number of plants that the expected fraction of changed plants counts as"
-    )
-    stayed: float = Field(
-        0.15,
-        description="Distance that the tops and the outline of a plant move by at most where only its leaves "
-        "changed [m]; half of the limit of a height",
-    )
-    most_of_leaves: float = Field(
-        0.95,
-        description="Fraction of the plants that kept their extent whose volume or surface changed by less "
-        "than what a pair of other leaves must exceed",
     )
 
 

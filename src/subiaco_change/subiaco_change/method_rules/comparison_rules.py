@@ -65,17 +65,6 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "misclassified_ground",
-        _HERE,
-        "A low, level object of one epoch is ground with a wrong class, which is compared separately.",
-        (
-            "method_numbers.object_decision.flat_top",
-            "method_numbers.object_decision.laid_top",
-            "method_numbers.object_decision.level_normal",
-        ),
-        guards=True,
-    ),
-    Rule(
         "floating_scan_line",
         _HERE,
         "A flat line of points above the ground that touches nothing is a single scan line of something that"
@@ -201,13 +190,6 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "wall_at_building",
-        _HERE,
-        "An object that touches a building over the height of a wall is a part of it, and no vehicle.",
-        ("method_numbers.dynamic_objects.wall_contact",),
-        guards=True,
-    ),
-    Rule(
         "higher_than_vehicles",
         _HERE,
         "What is higher than road vehicles did not move while it was mapped.",
@@ -246,44 +228,10 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "shapeless_in_lane",
-        _HERE,
-        "Without counts of beams, what one epoch alone holds in the lane of a survey vehicle is a ghost trail"
-        " where it has not the shape of a vehicle.",
-        ("method_numbers.driven_lane.half_width", "method_numbers.driven_lane.share"),
-        guards=True,
-    ),
-    Rule(
         "confidence_of_brief_objects",
         _HERE,
         "The confidence in an object of one epoch is at most the probability that the object stood still.",
         guards=True,
-    ),
-    Rule(
-        "parts_of_vehicles",
-        _HERE,
-        "A part of a vehicle that one epoch alone has is claimed only where the other looked through its"
-        " place, and where no standing object of the other lies beside it.",
-        (
-            "method_numbers.vehicle_parts.crossed_share",
-            "method_numbers.vehicle_parts.vehicle_width",
-            "method_numbers.vehicle_parts.adjacent",
-            "method_numbers.vehicle_parts.adjacent_share",
-        ),
-    ),
-    Rule(
-        "shells_of_vehicles",
-        _HERE,
-        "A part as large as a vehicle that lies around an object of the other epoch is of a larger vehicle"
-        " in the same place.",
-        ("method_numbers.vehicle_parts.vehicle_length",),
-    ),
-    Rule(
-        "ends_of_vehicles",
-        _HERE,
-        "A part as wide as a vehicle and shorter is the end of a vehicle in the place of another one, also"
-        " where less of the part lies beside the other.",
-        ("method_numbers.vehicle_parts.vehicle_length", "method_numbers.vehicle_parts.adjacent_share_of_end"),
     ),
 )
 
@@ -305,20 +253,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "hidden_trunks",
-        _HERE,
-        "A tree whose trunk parked cars hide is known by a top of its own: the trimmed side of a crown has"
-        " none.",
-        ("association.parts.hidden_foot", "method_numbers.felled_crowns.top_reach"),
-    ),
-    Rule(
-        "remaining_object",
-        _HERE,
-        "The remainder of an instance may be a small fraction of the instance if the remainder is as large as"
-        " an object.",
-        ("method_numbers.one_epoch_parts.object_voxels",),
-    ),
-    Rule(
         "felled_crowns",
         _HERE,
         "A crown in whose place the other epoch, measured from above, met the ground with more beams than"
@@ -336,35 +270,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "trees_over_shrubs",
-        _HERE,
-        "A tree of one epoch over a shrub of both is an object of its own, which is never matched, where the"
-        " other epoch has nothing higher than the shrub.",
-        (
-            "association.parts.top",
-            "method_numbers.trees_over_shrubs.shrub_height",
-            "method_numbers.trees_over_shrubs.tree_height",
-            "method_numbers.trees_over_shrubs.times_higher",
-            "method_numbers.trees_over_shrubs.top_quantile",
-            "method_numbers.trees_over_shrubs.free_share",
-            "method_numbers.trees_over_shrubs.observed_share",
-            "method_numbers.trees_over_shrubs.view_share",
-            "method_numbers.trees_over_shrubs.crown_width",
-        ),
-    ),
-    Rule(
-        "closed_vehicles",
-        _HERE,
-        "What lies inside a vehicle of the other epoch stands in both: beams through its windows do not show"
-        " that its inside was free.",
-        (
-            "method_numbers.vehicle_bodies.width",
-            "method_numbers.vehicle_bodies.length",
-            "method_numbers.vehicle_bodies.top_share",
-        ),
-        guards=True,
-    ),
-    Rule(
         "places_seen_free",
         _HERE,
         "A place that beams of the other epoch crossed is free although points of that epoch lie near, unless"
@@ -376,27 +281,10 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "unseen_belongs_to_most",
-        _HERE,
-        "Space that the other survey did not see belongs to the part that is gone, where less still stands.",
-        ("method_numbers.one_epoch_parts.observed_voxels",),
-    ),
-    Rule(
         "one_class_one_place",
         _HERE,
         "Objects of two epochs that mostly coincide have one class, that of the better score.",
         ("association.same_place",),
-    ),
-    Rule(
-        "no_partner_elsewhere",
-        _HERE,
-        "A building or plant whose place was seen free has no partner that shares no voxel with it.",
-        ("association.place_free",),
-    ),
-    Rule(
-        "vehicles_as_plants",
-        _HERE,
-        "An object with the shape of a vehicle in one epoch is no plant in the other.",
     ),
     Rule(
         "hardly_overlapping",
@@ -469,21 +357,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "hedges_in_line",
-        _HERE,
-        "A piece of one epoch that continues a hedge in its line, as high and as wide, is no plant of its"
-        " own: the hedge was shortened or extended.",
-        (
-            "method_numbers.hedges_in_line.beneath",
-            "method_numbers.hedges_in_line.reach",
-            "method_numbers.hedges_in_line.voxels",
-            "method_numbers.hedges_in_line.largest_height",
-            "method_numbers.hedges_in_line.top",
-            "method_numbers.hedges_in_line.slender",
-            "method_numbers.hedges_in_line.longer",
-        ),
-    ),
-    Rule(
         "standing_trunks",
         _HERE,
         "A tree of one epoch over a trunk that both epochs have was cut down to the trunk, or grew from it.",
@@ -531,19 +404,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("association.parts.touch", "association.parts.subordinate"),
     ),
     Rule(
-        "smooth_extensions",
-        _HERE,
-        "A smooth part taller than a car, with the faces of a rectangle, may be an extension although it"
-        " passed for a vehicle or a plant.",
-        (
-            "method_numbers.building_extensions.car_height",
-            "method_numbers.building_extensions.normal_neighbours",
-            "method_numbers.building_extensions.smoothness",
-            "method_numbers.building_extensions.facing",
-            "method_numbers.building_extensions.sloped",
-        ),
-    ),
-    Rule(
         "layers_before_walls",
         _HERE,
         "An object close before a wall that both surveys saw hides no wall: scaffolding and awnings are no"
@@ -570,31 +430,10 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "hidden_wall_of_extension",
-        _HERE,
-        "A wall within the outline of a house that the other epoch hardly saw is hidden by an extension.",
-        (
-            "method_numbers.building_extensions.wall_seen",
-            "method_numbers.building_extensions.neighbour_inside",
-        ),
-    ),
-    Rule(
-        "part_between_buildings",
-        _HERE,
-        "A part that touches a second building too is no extension of either.",
-        ("method_numbers.building_extensions.second_contact",),
-    ),
-    Rule(
         "part_as_large_as_building",
         _HERE,
         "A part as large as its building is the building itself where the building's walls stand inside it.",
         ("method_numbers.building_extensions.host_inside", "method_numbers.building_extensions.party_wall"),
-    ),
-    Rule(
-        "crown_beside_building",
-        _HERE,
-        "A part that begins high above the ground beside a building is a crown, not an extension.",
-        ("method_numbers.building_extensions.underside",),
     ),
     Rule(
         "open_roofs",
@@ -606,18 +445,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.building_extensions.roof_share",
             "method_numbers.building_extensions.bare_share",
         ),
-    ),
-    Rule(
-        "taller_neighbour",
-        _HERE,
-        "A part half a storey taller than a building beside it is another house.",
-        ("method_numbers.building_extensions.half_storey",),
-    ),
-    Rule(
-        "rear_of_extension",
-        _HERE,
-        "A part that touches a building, and whose place the other epoch hardly observed, belongs to the "
-        "building if a change is claimed with it: the house hides the rear of a wing.",
     ),
     Rule(
         "hidden_walls",
@@ -640,12 +467,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.roof_structures.foot_quantile",
             "method_numbers.roof_structures.share",
         ),
-    ),
-    Rule(
-        "fragments_of_changed_objects",
-        _HERE,
-        "A fragment of another class that lies in the place of a changed object carries its label.",
-        ("association.contained",),
     ),
 )
 
@@ -742,13 +563,6 @@ BUILDING_RULES: tuple[Rule, ...] = (
             "measures.carving.known_area",
             "method_numbers.space_carving.changed_columns",
         ),
-    ),
-    Rule(
-        "storeys",
-        _HERE,
-        "A wall that rises from a roof of the other epoch, higher than a parapet and longer than a dormer, is"
-        " that of a storey, and carries a roof.",
-        ("method_numbers.space_carving.parapet", "method_numbers.space_carving.dormer"),
     ),
     Rule(
         "roof_gap",

@@ -24,14 +24,6 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "leaves_of_the_pair",
-        _PLANTS,
-        "The surface and the volume of a plant changed by more than those of nearly all plants of the pair"
-        " that kept their extent.",
-        ("method_numbers.vegetation_null.stayed", "method_numbers.vegetation_null.most_of_leaves"),
-        guards=True,
-    ),
-    Rule(
         "own_error_of_plants",
         _PLANTS,
         "A plant of few voxels scatters by its own count, however little the plants of the pair scatter.",
@@ -115,12 +107,6 @@ PLANT_RULES: tuple[Rule, ...] = (
         ("decisions.min_free_surface",),
         guards=True,
     ),
-    Rule(
-        "thin_plants",
-        ("comparison",),
-        "A tall, narrow object of class vegetation has no crown, and its top alone is compared.",
-        ("plants.thin", "plants.slender"),
-    ),
 )
 
 GROUND_RULES: tuple[Rule, ...] = (
@@ -154,13 +140,6 @@ GROUND_RULES: tuple[Rule, ...] = (
         "possible_area",
         _GROUND,
         "Occluded cells around a patch count towards its area.",
-    ),
-    Rule(
-        "both_measured",
-        _GROUND,
-        "Cells that both epochs measured alone show whether both epochs hold the surfaces of a patch.",
-        ("ground.bridge",),
-        guards=True,
     ),
     Rule(
         "deep_patches",

@@ -48,8 +48,6 @@ Cells = NDArray[np.bool_]
 _TOP = NUMBERS.space_carving.top_tolerance
 _FEW = NUMBERS.space_carving.fewest_columns
 _MANY = NUMBERS.space_carving.changed_columns
-_PARAPET = NUMBERS.space_carving.parapet
-_DORMER = NUMBERS.space_carving.dormer
 _LOOKED = NUMBERS.space_carving.observed_share
 _REFUTED = NUMBERS.space_carving.free_share
 _LAYER = NUMBERS.layers.share
@@ -203,7 +201,7 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
     old = states[0] if len(before.voxels) else states[1]
     whole = _whole(old, both, gain.cells, frame)
     area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
-    height, confirmed = _height(states, both, frame, config), (gain.confirmed, loss.confirmed)
+    height, confirmed = _height(states, frame, config), (gain.confirmed, loss.confirmed)
     return Carved(gain.volume, loss.volume, height, whole, 0.5 * frame.rise * area, confirmed)
 
 
@@ -537,9 +535,7 @@ def _behind_new_walls(old: _State, new: _State, config: CarvingConfig) -> Cells:
     return walls | (_enclosed(walls, stops | (old.solid & ~walls)) & ~new.free)
 
 
-def _height(
-    states: tuple[_State, ...], voxels: tuple[Voxels, Voxels], frame: _Frame, config: CarvingConfig
-) -> Interval:
+def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
     """Change of the height that 5 % of the columns reach, of columns whose tops both epochs know.
 
     The top of a column lies between the highest surface seen in it and the lowest free cell above, or the
@@ -548,8 +544,7 @@ def _height(
     by more than a roof of 45 degrees falls within a column. The sky above a roof that one epoch did not
     see says nothing of that roof. A column that is open down to less than a room lost its body, which is
     a change of volume. Where few columns have free space above, those without count too, up to the
-    highest top of all. Storeys that were built on a roof, or taken off, count by the walls that were
-    seen. Chimneys, parapets and party walls are no roof. A top is known to half of a cell.
+    highest top of all. Chimneys, parapets and party walls are no roof. A top is known to half of a cell.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
@@ -562,12 +557,11 @@ def _height(
         columns = capped
     columns = _tightly_known(columns, bounds, frame, config)
     tops = []
-    for (low, high), storey in zip(bounds, _storeys(states, voxels, frame, config), strict=True):
+    for low, high in bounds:
         if not (low[columns] > 0).any():
             return Interval(float("nan"), float("nan"))
         known = np.minimum(high, np.maximum(ceiling, low))
-        counted = columns | (storey > 0)
-        roofs = (_without_narrow(np.maximum(top, storey), counted, frame, config) for top in (low, known))
+        roofs = (_without_narrow(top, columns, frame, config) for top in (low, known))
         tops.append([_reached(roof) for roof in roofs])
     (low_b, high_b), (low_a, high_a) = tops
     return Interval(low_a - high_b, high_a - low_b).widened(0.5 * frame.rise)
@@ -578,48 +572,9 @@ def _reached(tops: Floats) -> float:
     return quantile_of(tops, 0.95)
 
 
-def _no_storeys(states: tuple[_State, ...], *_: object) -> Iterator[Floats]:
-    """Yield no tops."""
-    return (np.zeros_like(state.top) for state in states)
-
-
-@switchable("storeys", _no_storeys)
-def _storeys(
-    states: tuple[_State, ...], voxels: tuple[Voxels, Voxels], frame: _Frame, config: CarvingConfig
-) -> Iterator[Floats]:
-    """Yield of each epoch the tops (nx, ny) of storeys on a roof of the other epoch, 0 elsewhere [m].
-
-    The street shows the front of a storey that stands back from the edge of a flat roof, and no more of its
-    roof than its edge. What rises above all of the other epoch's roof, higher than a parapet and longer than
-    a dormer, carries a roof as wide as roofs are. The other epoch must have seen free where it stands.
-    """
-    width = _columns_of_roof(frame, config)
-    for state, other, own in zip(states, states[::-1], voxels, strict=True):
-        stood = other.top > 0
-        roof = _reached(other.top[stood]) if stood.any() else np.inf
-        above = state.top > roof + frame.rise
-        number, count = ndimage.label(ndimage.binary_closing(above, _PLAN), _PLAN)
-        rises = _tops(own.select(own.observed_unoccupied), frame) > other.top + _PARAPET
-        kinds = (
-            above & rises & stood,
-            above & (other.top > state.top - _PARAPET),
-            state.top > roof + _PARAPET,
-        )
-        new, old, tall = (np.bincount(number[kind], minlength=count + 1) for kind in kinds)
-        long = _longer(number, _DORMER / frame.cell)
-        storey = ((new >= config.support) & (new > old) & (tall > 0) & long)[number]
-        top = ndimage.grey_dilation(np.where(storey, state.top, 0.0), (width, width))
-        yield np.where((state.top > 0) | storey, top, 0.0)
-
-
-def _columns_of_roof(frame: _Frame, config: CarvingConfig) -> int:
-    """Width of the narrowest roof, in columns; an odd number."""
-    return 2 * int(0.5 * config.roof_width / frame.cell) + 1
-
-
 def _without_narrow(top: Floats, columns: Mask, frame: _Frame, config: CarvingConfig) -> Floats:
     """Return the tops (K,) of some columns (nx, ny) without what is narrower than a roof [m]."""
-    width = _columns_of_roof(frame, config)
+    width = 2 * int(0.5 * config.roof_width / frame.cell) + 1  # columns of the narrowest roof: an odd number
     lowest = ndimage.minimum_filter(np.where(columns, top, np.inf), width, mode="nearest")
     roof = ndimage.maximum_filter(np.where(columns, lowest, -np.inf), width, mode="nearest")
     return np.asarray(roof[columns])
