@@ -212,6 +212,18 @@ def test_a_new_house_that_a_fence_joins_to_its_neighbour_is_no_wing_of_it(top, w
     assert bool(found) == wing
 
 
+@pytest.mark.parametrize(("gap", "wing"), [(0.7, False), (0.2, True)], ids=["an open gap", "a wing"])
+def test_eaves_over_an_open_gap_join_no_garage_to_the_house(gap, wing):
+    eaves, garage = block((10.0, 0.0, 3.0), (10.5, 8.0, 3.25)), np.add(walls(6, 6, 2.8), (10 + gap, 0, 0))
+    house, built = (
+        replace(made, normal=np.tile([0.0, 1.0, 0.0], (len(made), 1)))
+        for made in (voxels(HOUSE), voxels(garage))
+    )
+    house = house.add(voxels(eaves))
+    found = find_building_extensions([(house, house), (NONE, built)], CONFIG, open_between(10.0, 10 + gap))
+    assert bool(found) == wing
+
+
 @pytest.mark.parametrize(("side", "height", "wing"), [(3, 3.0, True), (8, 4.5, False)], ids=["wing", "house"])
 def test_a_house_that_a_carport_links_to_its_neighbour_was_no_wing_of_it(side, height, wing):
     """A wing of a wing is smaller than the wing."""

@@ -268,6 +268,26 @@ def test_a_piece_of_a_hedge_changed_only_if_the_space_above_its_lower_tops_was_o
     assert label(replace(piece, tops_unseen=True, section_only=False), null).change is moved
 
 
+def leafless(count, loss):
+    """Return trees that kept their extent; one in five lost up to ``loss`` of its surface in leaves."""
+    calm = [replace(TREE, rise=0.0, rise_sigma=0.02, surface=v) for v in np.linspace(-0.03, 0.03, 4 * count)]
+    bare = [replace(TREE, rise=0.05, rise_sigma=0.02, surface=-v) for v in np.linspace(0.1, loss, count)]
+    return [*calm, *bare]
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_change_of_surface_that_leaves_alone_caused_in_the_pair_is_none(sign):
+    plants = [replace(p, surface=-sign * p.surface) for p in leafless(10, 0.3)]
+    null = fit_null(plants, NULL)
+    assert null.fits["crown/surface"].sd < 0.06
+    pruned = replace(TREE, rise=0.0, outline=0.12 * sign, surface=0.2 * sign)
+    assert label(pruned, null).change is Change.UNCHANGED
+    assert label(pruned, fit_null(plants[:40], NULL)).change is not Change.UNCHANGED
+    assert label(replace(pruned, surface=0.5 * sign), null).change is not Change.UNCHANGED
+    kept = [replace(p, outline=0.4, rise=0.4) for p in plants[40:]]
+    assert fit_null([*plants[:40], *kept], NULL).fits["crown/surface"].leaves < 0.05
+
+
 def test_few_points_of_some_plants_do_not_widen_the_scatter_of_the_others():
     rng = np.random.default_rng(3)
     known = [replace(TREE, rise=r, rise_sigma=0.03) for r in rng.normal(0.05, 0.04, 24)]

@@ -280,6 +280,8 @@ def _excesses(
         expected = null.expected(plant, measure)
         sd = _sigma(plant, measure, expected.sd)
         least = max(limit, null.certain * sd)
+        if applies("leaves_of_the_pair", expected.leaves > least):
+            least = expected.leaves
         found[measure] = _Excess(measure, plant.value(measure), expected, least, sd)
     return found
 

@@ -25,6 +25,8 @@ _SCATTERS = NUMBERS.vegetation_null.scatters
 _ROUNDS = NUMBERS.vegetation_null.rounds
 _SETTLED = NUMBERS.vegetation_null.settled
 _PRIOR_PLANTS = NUMBERS.vegetation_null.prior_plants
+_STAYED = NUMBERS.vegetation_null.stayed
+_MOST = NUMBERS.vegetation_null.most_of_leaves
 
 
 #: Trees are compared with trees, hedges and shrubs with hedges and shrubs.
@@ -74,16 +76,17 @@ class PlantMeasures:
     plant from its middle [m]; ``voxels``: of either epoch that the other observed. NaN where not measured:
     ``outline`` [m], its standard error ``outline_sigma`` and its ``reach`` [m]; ``top`` [m] and its standard
     error ``top_sigma``; ``volume`` as a share of the earlier, and ``surface`` of the mean surface of both
-    epochs; ``rise`` [m], the median rise of the tops of its columns, and its standard error ``rise_sigma``;
-    ``base`` [m], the median fall of the lowest leaves of its columns, and its standard error ``base_sigma``;
+    epochs;
+    ``rise`` [m], the median rise of the tops of its columns, and its standard error ``rise_sigma``; ``base``
+    [m], the median fall of the lowest leaves of its columns, and its standard error ``base_sigma``;
     ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the limit that the
     section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``
     [m]: of the columns of a part of the plant. ``free_gained`` and ``free_lost``: probability that the
     surface that *after*, or *before*, alone has was free in the other epoch. ``tops_unseen``: its columns
     were compared, but the space above their lower tops was not observed. ``height``: of its top above the
-    ground [m]. ``gained_on_side`` and ``lost_on_side``: the fraction of its voxels that *after*, or *before*,
-    alone has, deep in space that was free in the other epoch, where they lie on one side of the plant; 0
-    elsewhere.
+    ground [m]. ``gained_on_side`` and
+    ``lost_on_side``: the fraction of its voxels that *after*, or *before*, alone has, deep in space that was
+    free in the other epoch, where they lie on one side of the plant; 0 elsewhere.
     """
 
     kind: PlantKind
@@ -181,17 +184,22 @@ class VegetationNullConfig(StrictModel):
 class Expected:
     """What an unchanged plant of this density ratio and size differs by, and the scatter around that.
 
-    ``count`` plants were fitted; 0 says that the scatter is the stated one.
+    ``count`` plants were fitted; 0 says that the scatter is the stated one. ``leaves``: what leaves alone
+    changed in nearly all plants of the pair that kept their extent, 0 where that is not known.
     """
 
     shift: float
     sd: float
     count: int
+    leaves: float = 0.0
 
 
 @dataclass(frozen=True)
 class NullFit:
-    """Linear model of one measure of one kind of plant: intercept, of log density ratio, of log size."""
+    """Linear model of one measure of one kind of plant: intercept, of log density ratio, of log size.
+
+    ``leaves``: see :class:`Expected`.
+    """
 
     coefficients: tuple[float, float, float]
     centre: tuple[float, float]
@@ -199,12 +207,13 @@ class NullFit:
     high: tuple[float, float]
     sd: float
     count: int
+    leaves: float = 0.0
 
     def expected(self, plant: PlantMeasures) -> Expected:
         """Return what a plant like this differs by; beyond the fitted plants as at their edge."""
         place = np.clip(_place(plant), self.low, self.high) - self.centre
         shift = self.coefficients[0] + float(place @ np.array(self.coefficients[1:]))
-        return Expected(shift, self.sd, self.count)
+        return Expected(shift, self.sd, self.count, self.leaves)
 
 
 @dataclass(frozen=True)
@@ -249,7 +258,35 @@ def fit_null(plants: Sequence[PlantMeasures], config: VegetationNullConfig) -> V
             fits[f"{kind}/{measure}"] = _fit(
                 places[order], values[known][order], errors[order], measure, expected, config
             )
+        fits |= _with_leaves(own, kind, fits, config)
     return replace(no_null(config), fits=fits)
+
+
+def _with_leaves(
+    own: Sequence[PlantMeasures], kind: PlantKind, fits: dict[str, NullFit], config: VegetationNullConfig
+) -> dict[str, NullFit]:
+    """Fits of volume and surface that know what leaves alone changed in the plants of a kind.
+
+    Leaves fall from some plants and not from others: most plants scatter little, and a few lose a quarter of
+    their surface while their tops and outlines stay. A loss of that size is usual in the pair, and tells
+    nothing.
+    """
+    found = {}
+    kept = [p for p in own if _kept_extent(p, kind, fits)]
+    for measure in ("volume", "surface"):
+        fit = fits.get(f"{kind}/{measure}")
+        stayed = [p for p in kept if math.isfinite(p.value(measure))]
+        if fit is None or len(stayed) < config.plants:
+            continue
+        apart = [abs(p.value(measure) - fit.expected(p).shift) for p in stayed]
+        found[f"{kind}/{measure}"] = replace(fit, leaves=float(np.quantile(apart, _MOST)))
+    return found
+
+
+def _kept_extent(plant: PlantMeasures, kind: PlantKind, fits: dict[str, NullFit]) -> bool:
+    """Tell whether the tops and the outline of a plant were both measured and stayed."""
+    pairs = ((plant.value(m), fits.get(f"{kind}/{m}")) for m in ("rise", "outline"))
+    return all(fit is not None and abs(v - fit.expected(plant).shift) < _STAYED for v, fit in pairs)
 
 
 def _place(plant: PlantMeasures) -> Floats:
@@ -348,6 +385,7 @@ def null_of(words: str, config: VegetationNullConfig) -> VegetationNull:
             high=tuple(fit["high"]),
             sd=fit["sd"],
             count=fit["count"],
+            leaves=fit["leaves"],
         )
         for name, fit in json.loads(words).items()
     }

@@ -30,6 +30,7 @@ _ADJOINS = NUMBERS.building_extensions.least_contact
 _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
+_LEVEL = NUMBERS.building_extensions.roof_normal
 _FOOT = NUMBERS.building_extensions.foot
 _THICK = NUMBERS.building_extensions.roof_band
 _ROOF = NUMBERS.building_extensions.roof_share
@@ -85,23 +86,38 @@ def _stands_apart(
     """Tell a house beside another one from a wing.
 
     Nothing of a house but a fence lies at the walls of its neighbour, and the epoch that holds both saw the
-    gap open. Nor does a house hang on another one by something smaller than itself between them.
+    gap open. Their eaves may meet above it. Nor does a house hang on another one by something smaller than
+    itself between them.
     """
     epoch = 0 if len(pairs[number][0]) else 1
     extension, body = pairs[number][epoch], pairs[host][epoch]
-    distance, nearest = cKDTree(body.xyz[:, :2]).query(extension.xyz[:, :2])
-    near = distance < config.touch
-    if not near.any():
+    if not (cKDTree(body.xyz[:, :2]).query(extension.xyz[:, :2])[0] < config.touch).any():
         links = [pairs[e][epoch] for e, h in taken.items() if h == host and len(pairs[e][epoch])]
         return sum(map(_enclosed_volume, links)) < _enclosed_volume(extension)
-    if (extension.height[distance < _JOINT] > _FENCE).any() or extension.height.min() > _FOOT:
+    walls, side = _facing_walls(extension, body, config.touch)
+    distance, nearest = cKDTree(side.xyz[:, :2]).query(walls.xyz[:, :2])
+    if (walls.height[distance < _JOINT] > _FENCE).any() or extension.height.min() > _FOOT:
         return False
-    middle = 0.5 * (extension.xyz[near, :2] + body.xyz[nearest[near], :2])
+    near = distance < config.touch
+    middle = 0.5 * (walls.xyz[near, :2] + side.xyz[nearest[near], :2])
     open_ = ground.bare(epoch)(middle)
     empty = ground.empty[epoch]
     if empty is not None:
-        open_ |= empty(np.column_stack([middle, extension.xyz[near, 2]]))
+        open_ |= empty(np.column_stack([middle, walls.xyz[near, 2]]))
     return bool(open_.mean() >= _OPEN)
+
+
+def _facing_walls(first: Voxels, second: Voxels, touch: float) -> tuple[Voxels, Voxels]:
+    """Return the walls of two buildings, or all of them where no walls lie within a distance [m]."""
+    walls = (
+        first.select(np.abs(first.normal[:, 2]) < _LEVEL),
+        second.select(np.abs(second.normal[:, 2]) < _LEVEL),
+    )
+    if all(map(len, walls)):
+        distance = cKDTree(walls[1].xyz[:, :2]).query(walls[0].xyz[:, :2])[0]
+        if (distance < touch).any():
+            return walls
+    return first, second
 
 
 def _touching_extensions(

@@ -86,6 +86,9 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Distance from a building within which something of a wing lies [m]; between the voxels "
         "of two walls that meet is up to half a metre",
     )
+    roof_normal: float = Field(
+        0.7, description="Smallest vertical component of the normal of a roof, as a ratio; eaves are no walls"
+    )
     open_gap: float = Field(
         0.5,
         description="Fraction of the gap between two buildings that must be seen open for the buildings to "
@@ -620,6 +623,16 @@ class VegetationNullNumbers(StrictModel):
     settled: float = Field(1e-6, description="Gain of the log likelihood that ends the rounds [1]")
     prior_plants: float = Field(
         4.0, description="Number of plants that the expected fraction of changed plants counts as"
+    )
+    stayed: float = Field(
+        0.15,
+        description="Distance that the tops and the outline of a plant move by at most where only its leaves "
+        "changed [m]; half of the limit of a height",
+    )
+    most_of_leaves: float = Field(
+        0.95,
+        description="Fraction of the plants that kept their extent whose volume or surface changed by less "
+        "than what a pair of other leaves must exceed",
     )
 
 

@@ -24,6 +24,14 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "leaves_of_the_pair",
+        _PLANTS,
+        "The surface and the volume of a plant changed by more than those of nearly all plants of the pair"
+        " that kept their extent.",
+        ("method_numbers.vegetation_null.stayed", "method_numbers.vegetation_null.most_of_leaves"),
+        guards=True,
+    ),
+    Rule(
         "own_error_of_plants",
         _PLANTS,
         "A plant of few voxels scatters by its own count, however little the plants of the pair scatter.",
