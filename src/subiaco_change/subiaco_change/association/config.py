@@ -119,7 +119,6 @@ class AssociationConfig(StrictModel):
     stacked: float = Field(
         0.3, ge=0, le=1, description="Fraction of common columns from which two fragments are one object"
     )
-
     same_place: float = Field(
         0.5,
         gt=0,

@@ -45,10 +45,7 @@ _REMAINS = NUMBERS.split_merge.remains
 
 @switchable("building_extensions", first_argument)
 def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Make extensions built onto a building, or taken from it, one object with it, and decide it again.
-
-    An extension seen from few sides may have passed for a vehicle or a plant: what is built tells.
-    """
+    """Make extensions built onto a building, or taken from it, one object with it, and decide it again."""
     numbers = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
     if rules.association.parts.points == 0:
         return changes
@@ -225,7 +222,7 @@ def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
 def part_hardly_overlapping(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the objects of a match apart where they overlap too little to be compared (paper: limit of IoU).
 
-    A house that was built over the remains of a wall is a new house.
+    A house that was built over the remains of a wall is a new house, and so is a wall beside a former fence.
     """
     told: list[ObjectChange] = []
     for change in changes:
