@@ -59,7 +59,7 @@ def draw_tree(rng, x=0.0):
 
 
 def draw_tree_over_shrub(seed, what):
-    """Draw a tree over a shrub that stays; a second drive after the tree was ``pruned``.
+    """Draw a tree over a shrub that stays; a second drive after the tree was ``felled``, or ``pruned``.
 
     ``narrow view``: nothing changed, and the second sensor sees no higher than a shrub.
     """
@@ -79,7 +79,7 @@ def draw_tree_over_shrub(seed, what):
         middle=tree.middle - 0.3 * half,
         clusters=int(0.35 * clusters),
     )
-    left = {"pruned": (pruned, shrub), "narrow view": (tree, shrub)}[what]
+    left = {"felled": (shrub,), "pruned": (pruned, shrub), "narrow view": (tree, shrub)}[what]
     back = Box(-30.0, 16.0, 60.0, 1.0, 6.0)
     first, second = draw_sensor(rng), draw_sensor(rng)
     if what == "narrow view":

@@ -11,6 +11,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.object_decision import (
     ObjectRules,
     decide_floating_line,
+    decide_misclassified_ground,
     decide_object,
 )
 from subiaco_change.decisions.split_merge import (
@@ -20,7 +21,11 @@ from subiaco_change.decisions.split_merge import (
     split_row_houses,
     unify_classes,
 )
-from subiaco_change.instance_splitting.building_extensions import find_building_extensions
+from subiaco_change.instance_splitting.building_extensions import (
+    find_building_extensions,
+    is_smooth_surface,
+    rectangularity,
+)
 from subiaco_change.instance_splitting.merged_instances import split_by_bodies
 from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.method_rules.switches import rules_switched_off
@@ -79,15 +84,26 @@ def test_an_object_that_stands_in_one_epoch_alone_is_not_parted():
         assert split_one_epoch_parts([single], CONFIG) == [single]
 
 
-def test_a_crown_that_begins_above_the_foot_of_a_part_stays_with_the_crown_beside_it():
-    standing, beside = block((0, 0, 1.5), (4, 4, 5)), block((4, 0, 1.5), (5.5, 4, 4))
-    assert len(split_one_epoch_parts([obj([(standing, True), (beside, False)])], CONFIG)) == 1
+@pytest.mark.parametrize(
+    ("end", "top", "parts"),
+    [(8, 6.0, 2), (8, 4.0, 2), (5.5, 4.0, 1)],
+    ids=["a tree", "a lower tree", "the side of a crown"],
+)
+def test_a_crown_that_touches_another_is_a_tree_if_it_has_a_top_of_its_own(end, top, parts):
+    """Parked cars hide both trunks up to 1.5 m."""
+    standing = block((0, 0, 1.5), (4, 4, 5))
+    beside = block((4, 0, 1.5), (end, 4, top))
+    made = obj([(standing, True), (beside, False)])
+    assert len(split_one_epoch_parts([made], CONFIG)) == parts
+    with rules_switched_off(["hidden_trunks"]):
+        assert len(split_one_epoch_parts([made], CONFIG)) == 1
 
 
-def test_a_gate_post_that_is_left_of_a_house_is_no_object():
-    house, post = walls(25, 20, 8), np.add(walls(0.5, 0.5, 2.5), (25, 0, 0))
-    assert len(post) < CONFIG.remainder * len(house)
-    assert len(split_one_epoch_parts([obj([(house, False), (post, True)])], CONFIG)) == 1
+@pytest.mark.parametrize(("left", "parts"), [(3.0, 2), (0.5, 1)], ids=["a garage", "a gate post"])
+def test_what_is_left_of_a_house_is_an_object_however_large_the_house_was(left, parts):
+    house, garage = walls(25, 20, 8), np.add(walls(left, left, 2.5), (25, 0, 0))
+    assert len(garage) < CONFIG.remainder * len(house)
+    assert len(split_one_epoch_parts([obj([(house, False), (garage, True)])], CONFIG)) == parts
 
 
 def test_a_bin_under_a_crown_is_an_object_of_its_own():
@@ -106,14 +122,16 @@ def test_a_kerb_told_wrong_is_no_part():
     assert len(split_one_epoch_parts([obj([(hedge, True), (kerb, False)])], CONFIG)) == 1
 
 
-def test_what_nobody_saw_goes_with_what_is_nearest():
-    rest, gone = block((0, 0, 0), (8, 2, 3)), block((8, 0, 0), (10, 2, 3))
-    hidden = block((0, 2, 0), (10, 4, 3))  # behind both
+@pytest.mark.parametrize(("left", "hidden_went"), [(1.0, True), (8.0, False)], ids=["a gate", "a house"])
+def test_what_nobody_saw_goes_with_what_is_gone_if_little_is_left(left, hidden_went):
+    rest, gone = block((0, 0, 0), (left, 2, 3)), block((left, 0, 0), (left + 2, 2, 3))
+    hidden = block((0, 2, 0), (left + 2, 4, 3))  # behind both
     made = obj([(rest, True), (gone, False), (hidden, False)])
     seen = np.repeat([True, True, False], [len(rest), len(gone), len(hidden)])
     made = replace(made, voxels=replace(made.voxels, observed=seen))
     kept, part = split_one_epoch_parts([made], CONFIG)
-    assert len(kept.voxels) == len(rest) + len(block((0, 2, 0), (8, 4, 3)))
+    behind_the_rest = len(block((0, 2, 0), (left, 4, 3)))
+    assert len(kept.voxels) == len(rest) + (0 if hidden_went else behind_the_rest)
     assert len(part.voxels) == len(made.voxels) - len(kept.voxels)
 
 
@@ -280,6 +298,16 @@ def test_a_roof_on_posts_is_no_wing_where_the_ground_below_it_was_met(closed, me
             )
 
 
+def test_a_crown_beside_a_house_is_no_wing_of_it_however_smooth_its_foliage():
+    rng = np.random.default_rng(5)
+    way = rng.normal(size=(600, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    crown = replace(voxels(3 * way + (0, 0, 5)), normal=way)
+    assert not is_smooth_surface(crown)
+    assert rectangularity(way) < 0.2
+    assert rectangularity(voxels(HOUSE).normal) > 0.9
+
+
 def test_a_shed_left_inside_the_outline_of_a_house_that_is_gone_is_no_rest_of_it():
     for height, rest in ((3.0, True), (2.0, False)):
         inside, house = voxels(np.add(walls(3, 3, height), (4.0, 1.0, 0.0))), voxels(HOUSE)
@@ -299,6 +327,16 @@ def test_a_wing_larger_than_what_is_left_of_its_house_stands_round_it():
     left = moved(walls(3, 8, 4), 0)
     gone = moved(walls(3, 9, 6), 1.0)
     assert find_building_extensions([(left, left), (gone, NONE)], CONFIG) == {1: 0}
+
+
+def test_walls_are_built_and_cars_and_leaves_are_not():
+    wall = voxels(walls(6, 6, 4))
+    rng = np.random.default_rng(0)
+    turned = rng.normal(size=(len(wall), 3))
+    leaves = replace(wall, normal=turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    assert is_smooth_surface(wall)
+    assert not is_smooth_surface(leaves)
+    assert not is_smooth_surface(voxels(walls(4, 2, 1.5)))
 
 
 def crown(x, occupied_in_other, number):
@@ -321,6 +359,30 @@ def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own()
     low, high = (obj([(block((0, 0, z), (4, 4, z + 2)), True)]) for z in (0, 2))
     crumb = obj([(block((5, 0, 0), (5.5, 0.5, 0.5)), True)])
     assert len(split_by_bodies([low], [low, high, crumb], AssociationConfig(), 9)) == 1
+
+
+@pytest.mark.parametrize(
+    ("semantic", "height", "flat"),
+    [
+        (Semantic.OTHER, 0.5, True),
+        (Semantic.OTHER, 1.5, False),
+        (Semantic.MOBILE, 0.5, True),
+        (Semantic.MOBILE, 1.0, False),
+        (Semantic.BUILDING, 0.5, False),
+    ],
+    ids=["a strip of new paving", "a runner", "road that passed for a car", "a car's floor", "a terrace"],
+)
+def test_what_lies_flat_is_left_to_the_ground(semantic, height, flat):
+    slab = obj([(block((0, 0, 0), (8, 2, height)), False)])
+    decision = decide_misclassified_ground(semantic, [slab])
+    assert (decision is not None) == flat
+    assert decision is None or decision.change is Change.NOT_REPORTED
+
+
+def test_a_low_wall_does_not_lie_flat():
+    wall = obj([(block((0, 0, 0), (8, 0.5, 0.5)), False)])
+    sideways = replace(wall.voxels, normal=np.tile([0.0, 1.0, 0.0], (len(wall.voxels), 1)))
+    assert decide_misclassified_ground(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None
 
 
 def test_a_house_that_lost_most_of_itself_is_one_with_what_is_left_inside_its_outline():

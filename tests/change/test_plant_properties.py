@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from random_houses import KINDS, compare, labels
-from random_plants import draw_plants, draw_tree_over_shrub
+from random_plants import draw_plants
 
 from subiaco_geo.codes import Change
 
@@ -44,15 +44,6 @@ def test_less_evidence_never_turns_the_sign_of_a_plant(seed):
         blind = [_forgetful(survey, share, rng) for survey in (few, many)]
         assert not set(labels(compare(*blind, "observed"))) & LESS
         assert not set(labels(compare(*blind[::-1], "observed"))) & MORE
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("what", ["pruned", "narrow view"])
-@pytest.mark.parametrize("seed", range(1, 4))
-def test_a_pruned_tree_and_one_that_a_sensor_cuts_at_the_shrub_are_never_removed_or_added(seed, what, kind):
-    before, after = draw_tree_over_shrub(seed, what).surveys
-    single = {Change.ADDED, Change.REMOVED}
-    assert not single & {*labels(compare(before, after, kind)), *labels(compare(after, before, kind))}
 
 
 def _forgetful(survey, share, rng):

@@ -27,6 +27,12 @@ class PartConfig(StrictModel):
         description="Height above ground below which a part must begin to be split off [m]; a voxel of the "
         "trunk above the foot that no epoch counts",
     )
+    hidden_foot: float = Field(
+        2.0,
+        gt=0,
+        description="Height above ground below which a tree with a top of its own must begin to be split off "
+        "[m]; parked cars and hedges hide trunks up to this height",
+    )
     top: float = Field(
         0.6,
         ge=0,

@@ -29,6 +29,7 @@ from subiaco_change.decisions.standing_trunks import join_standing_trunks
 from subiaco_change.instance_splitting.felled_crowns import split_felled_crowns
 from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.instance_splitting.places_seen_free import places_seen_free
+from subiaco_change.instance_splitting.trees_over_shrubs import split_trees_over_shrubs
 from subiaco_change.objects.column_volumes import OpenGround, ground_columns
 from subiaco_change.objects.known_space import KnownSpace
 from subiaco_change.objects.measures import footprint, same_place
@@ -109,7 +110,8 @@ def _with_parts(
     seen_free = places_seen_free(joined, views[1], reach, rules.spaces[other].free)
     ends = np.cumsum([len(t.voxels) for t in objects])[:-1]
     free = np.split(seen_free, ends) if objects else []
-    return split_one_epoch_parts(objects, rules.association.parts, free)
+    parted = split_one_epoch_parts(objects, rules.association.parts, free)
+    return split_trees_over_shrubs(parted, rules.spaces[other].below_view, rules.association.parts)
 
 
 def _parts(

@@ -48,6 +48,9 @@ from subiaco_change.segmentation.config import VehicleConfig
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
+_FLAT_TOP = NUMBERS.object_decision.flat_top
+_LAID_TOP = NUMBERS.object_decision.laid_top
+_LEVEL = NUMBERS.object_decision.level_normal
 _FLOATING = NUMBERS.object_decision.floating
 _LINE = NUMBERS.object_decision.line_height
 _HELD = NUMBERS.object_decision.held
@@ -140,7 +143,8 @@ def decide_object(
         shape = None if is_standing_car(parts, semantic, rules.vehicles) else own
         contrast = contrast_with_ground(parts, semantic, shape, rules.decisions)
         decision = (
-            decide_floating_line(parts, rules.spaces[epoch].standing, rules.decisions)
+            decide_misclassified_ground(semantic, parts)
+            or decide_floating_line(parts, rules.spaces[epoch].standing, rules.decisions)
             or decide_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or decide_strip_on_road(parts, shape, rules.decisions)
             or decide_person_on_the_way(parts, semantic, shape)
@@ -176,6 +180,23 @@ def _observed_fraction(parts: Sequence[ObjectInstance], measures: Measures, rule
     if all(space.below_view is None for space in rules.spaces):
         return measures.observed_fraction
     return observed_fraction(join_voxels(parts), join_voxels(()), rules.measures)
+
+
+@switchable("misclassified_ground", no_decision)
+def decide_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance]) -> Decision | None:
+    """Leave a low, level object to the comparison of the ground: it is ground with a wrong class."""
+    voxels = join_voxels(objects)
+    limit = _FLAT_TOP if semantic is Semantic.OTHER else _LAID_TOP
+    if semantic is Semantic.BUILDING or float(np.quantile(voxels.height, 0.95)) > limit:
+        return None
+    level = float(np.abs(voxels.normal[:, 2]).mean())
+    if level < _LEVEL:
+        return None
+    reason = (
+        f"The top of the object lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
+        f" {limit:.2f} m) and is level: the object is part of the ground, which is compared separately."
+    )
+    return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
 @switchable("floating_scan_line", no_decision)

@@ -21,6 +21,7 @@ from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.instance_splitting.building_extensions import (
     find_building_extensions,
     gaps_to_host,
+    is_smooth_surface,
     remoteness,
 )
 from subiaco_change.instance_splitting.hedge_sections import HedgeSection, changed_sections, section_labels
@@ -45,8 +46,20 @@ _REMAINS = NUMBERS.split_merge.remains
 
 @switchable("building_extensions", first_argument)
 def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Make extensions built onto a building, or taken from it, one object with it, and decide it again."""
-    numbers = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
+    """Make extensions built onto a building, or taken from it, one object with it, and decide it again.
+
+    An extension seen from few sides may have passed for a vehicle or a plant: what is built tells.
+    """
+    numbers = [
+        i
+        for i, change in enumerate(changes)
+        if change.semantic is Semantic.BUILDING
+        or (
+            change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
+            and change.decision.change in ONE_EPOCH
+            and is_smooth_surface(join_voxels((*change.before, *change.after)))
+        )
+    ]
     if rules.association.parts.points == 0:
         return changes
     pairs = [_bodies(changes[i], rules.measures.carving.room) for i in numbers]

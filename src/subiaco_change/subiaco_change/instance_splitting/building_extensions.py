@@ -21,12 +21,17 @@ from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.frames import Floats
 
 _ROUND = NUMBERS.building_extensions.enclosing_share
+_CAR = NUMBERS.building_extensions.car_height
 _ROOM = NUMBERS.building_extensions.room_height
 _WITHIN = NUMBERS.building_extensions.host_inside
 _PARTY = NUMBERS.building_extensions.party_wall
 _PLACES = NUMBERS.building_extensions.host_places
 _GAP = NUMBERS.building_extensions.host_gap
 _ADJOINS = NUMBERS.building_extensions.least_contact
+_NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
+_SMOOTH = NUMBERS.building_extensions.smoothness
+_FACING = NUMBERS.building_extensions.facing
+_SLOPED = NUMBERS.building_extensions.sloped
 _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
@@ -175,6 +180,40 @@ def _is_extension(
         stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
         return applies("part_as_large_as_building", stood)
     return not _is_open_roof(extension, bare)
+
+
+@switchable("smooth_extensions", never)
+def is_smooth_surface(voxels: Voxels) -> bool:
+    """Tell walls and roofs from cars and leaves, whatever their class.
+
+    They are taller than a car and smooth, and face the directions of one rectangle.
+    """
+    if len(voxels) < _NEIGHBOURS or voxels.height.max() < _CAR:
+        return False
+    near = cKDTree(voxels.xyz).query(voxels.xyz, k=_NEIGHBOURS)[1][:, 1:]
+    along = np.abs(np.einsum("ikj,ij->ik", voxels.normal[near], voxels.normal))
+    return bool(along.mean() >= _SMOOTH) and rectangularity(voxels.normal) >= _FACING
+
+
+def rectangularity(normal: Floats) -> float:
+    """Return how well surfaces face the four directions of one rectangle, seen from above.
+
+    Parameters
+    ----------
+    normal : (N, 3) float64
+        Unit normals of either sign.
+
+    Returns
+    -------
+    float
+        Length of the mean of four times the azimuth, on the unit circle, of what is not level: 1 for a
+        house, near 0 for a crown; 1 if all is level.
+    """
+    steep = np.hypot(normal[:, 0], normal[:, 1]) > _SLOPED
+    if not steep.any():
+        return 1.0
+    azimuth = np.arctan2(normal[steep, 1], normal[steep, 0])
+    return float(np.abs(np.exp(4j * azimuth).mean()))
 
 
 def _inside(host: Floats, extension: Floats) -> float:

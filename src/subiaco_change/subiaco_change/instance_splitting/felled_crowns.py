@@ -15,7 +15,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import bdtr
 
-from subiaco_change.instance_splitting.one_epoch_parts import join_parts, split_by_labels, with_free
+from subiaco_change.instance_splitting.one_epoch_parts import (
+    has_top,
+    join_parts,
+    split_by_labels,
+    with_free,
+)
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.objects.voxel_objects import (
@@ -136,7 +141,7 @@ def _felled(voxels: Voxels, view: EpochView, other: EpochView, reach: Reach) -> 
     for group in group_indices(cell_clusters(xy[core], _JOINED * reach.high)):
         middle = core[group]
         gone = _is_gone(xy[middle], own, seen, passed, beside)
-        if not gone or not _has_top(voxels.xyz, middle, places, max(_TOP, reach.high)):
+        if not gone or not has_top(voxels.xyz, middle, places, max(_TOP, reach.high)):
             continue
         count += 1
         near = cKDTree(xy[middle]).query(xy)[0]
@@ -144,23 +149,6 @@ def _felled(voxels: Voxels, view: EpochView, other: EpochView, reach: Reach) -> 
         labels[part] = count
         labels[low[near[low] <= beside]] = count
     return labels
-
-
-def _has_top(xyz: Floats, part: Ints, places: Ints, reach: float) -> bool:
-    """Tell whether a place of a part is the highest around: of the trimmed side of a crown none is.
-
-    Parameters
-    ----------
-    xyz : (M, 3) float64
-        Places of plants [m].
-    part, places : (P,), (Q,) int64
-        Which of them the part has, and which count around it.
-    reach : float
-        Distance seen from above within which no place is higher [m].
-    """
-    tree, height = cKDTree(xyz[places, :2]), xyz[places, 2]
-    around = tree.query_ball_point(xyz[part, :2], reach)
-    return any(height[near].max() <= z for near, z in zip(around, xyz[part, 2].tolist(), strict=True))
 
 
 def _share(low: int, every: int) -> float:

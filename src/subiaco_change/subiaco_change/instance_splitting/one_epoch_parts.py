@@ -9,18 +9,22 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import PartConfig
+from subiaco_change.geometry import in_outline_of
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
 from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
-from subiaco_geo.frames import Ints
+from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.one_epoch_parts.cell
+_WELL_KNOWN = NUMBERS.one_epoch_parts.observed_voxels
 _FAR = NUMBERS.one_epoch_parts.far_share
 _ABOVE = NUMBERS.one_epoch_parts.overhang
+_TOP = NUMBERS.felled_crowns.top_reach
+_OBJECT = NUMBERS.one_epoch_parts.object_voxels
 
 
 @switchable("parts_of_one_epoch", first_argument)
@@ -159,7 +163,8 @@ def _free_columns(
 
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
     voxels = obj.voxels
-    if voxels.height[piece].min() > config.foot:
+    lowest = voxels.height[piece].min()
+    if lowest > config.foot and not (lowest <= config.hidden_foot and _is_tree(obj, piece)):
         return False
     if np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
@@ -167,6 +172,31 @@ def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config:
         return False
     inside = _below(obj, piece, column) & voxels.observed
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
+
+
+@switchable("hidden_trunks", never)
+def _is_tree(obj: ObjectInstance, piece: Ints) -> bool:
+    """Tell a tree from the trimmed side of a crown: a tree has a top of its own."""
+    if obj.semantic is not Semantic.VEGETATION:
+        return False
+    return has_top(obj.voxels.xyz, piece, np.arange(len(obj.voxels)), _TOP)
+
+
+def has_top(xyz: Floats, part: Ints, places: Ints, reach: float) -> bool:
+    """Tell whether a place of a part is the highest around: of the trimmed side of a crown none is.
+
+    Parameters
+    ----------
+    xyz : (M, 3) float64
+        Places of plants [m].
+    part, places : (P,), (Q,) int64
+        Which of them the part has, and which count around it.
+    reach : float
+        Distance seen from above within which no place is higher [m].
+    """
+    tree, height = cKDTree(xyz[places, :2]), xyz[places, 2]
+    around = tree.query_ball_point(xyz[part, :2], reach)
+    return any(height[near].max() <= z for near, z in zip(around, xyz[part, 2].tolist(), strict=True))
 
 
 def _below(obj: ObjectInstance, piece: Ints, column: Ints) -> Mask:
@@ -179,22 +209,41 @@ def _below(obj: ObjectInstance, piece: Ints, column: Ints) -> Mask:
 
 
 def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
-    """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small."""
+    """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small.
+
+    Where less still stands than is known of a part, the rest gets nothing: the unseen space behind a
+    house that is gone was the house, not the gate that is left of the instance.
+    """
     known = obj.voxels.observed
     if not known.all():
-        nearest = cKDTree(obj.voxels.xyz[known]).query(obj.voxels.xyz[~known])[1]
-        labels[~known] = labels[known][nearest]
-    return _large_parts(labels, obj, config)
+        left = np.count_nonzero(obj.voxels.occupied_in_other & (labels == 0))
+        gone = np.bincount(labels[known])[1:].max()
+        most = applies("unseen_belongs_to_most", left < gone and gone >= _WELL_KNOWN)
+        source = np.flatnonzero(known & ((labels > 0) | (not most)))
+        nearest = cKDTree(obj.voxels.xyz[source]).query(obj.voxels.xyz[~known])[1]
+        labels[~known] = labels[source][nearest]
+    least = 0.0 if _leaves_object(obj.voxels, labels) else config.remainder * len(obj.xyz)
+    return large_parts(labels, obj, config.points, least)
 
 
-def _large_parts(labels: Ints, obj: ObjectInstance, config: PartConfig) -> Ints:
+@switchable("remaining_object", never)
+def _leaves_object(voxels: Voxels, labels: Ints) -> bool:
+    """Tell whether the remainder of an instance is an object: the garage beside a demolished house.
+
+    Remains of walls within the outline of a new building are no object.
+    """
+    rest, places = (labels == 0) & voxels.occupied_in_other, voxels.xyz[:, :2]
+    return bool(np.count_nonzero(~in_outline_of(places[labels > 0], places[rest], _CELL)) >= _OBJECT)
+
+
+def large_parts(labels: Ints, obj: ObjectInstance, least: int, least_left: float) -> Ints:
     """Return the parts (M,) of voxels with enough points, numbered anew; none where too little is left.
 
-    What is left of an instance has the label 0, and so have the parts that hold too few points.
+    What is left of an instance has the label 0, and so have the parts that hold fewer points than ``least``.
     """
     points = np.bincount(labels[cKDTree(obj.voxels.xyz).query(obj.xyz)[1]], minlength=labels.max() + 1)
-    if points[0] < config.remainder * len(obj.xyz):
+    if points[0] < least_left:
         return np.zeros_like(labels)
-    large = points >= config.points
+    large = points >= least
     large[0] = True
     return np.asarray(np.where(large, np.cumsum(large) - 1, 0)[labels])

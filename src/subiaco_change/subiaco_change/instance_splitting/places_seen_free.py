@@ -13,6 +13,7 @@ from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.objects.known_space import Free
+from subiaco_change.objects.vehicle_bodies import inside_vehicles
 from subiaco_change.objects.voxel_objects import (
     EpochView,
     Reach,
@@ -53,6 +54,7 @@ def places_seen_free(voxels: Voxels, other: EpochView, reach: Reach, free: Free 
     found[found] = ~_lies_on_surface(voxels.xyz[found], other.xyz[standing], other.normals[standing], reach)
     ground = other.xyz[other.semantic == Semantic.GROUND]
     found[found] = ~occupied_by_ground(voxels.xyz[found], ground, reach)
+    found[found] = ~inside_vehicles(voxels.xyz[found], other)
     return found
 
 

@@ -17,6 +17,8 @@ from subiaco_change.method_numbers.association_numbers import (
     RowsOfHousesNumbers,
     SplitMergeNumbers,
     StandingTrunksNumbers,
+    TreesOverShrubsNumbers,
+    VehicleBodiesNumbers,
 )
 from subiaco_change.method_numbers.decision_numbers import (
     AbsenceNumbers,
@@ -115,6 +117,8 @@ class MethodNumbers(StrictModel):
     places_seen_free: PlacesSeenFreeNumbers = PlacesSeenFreeNumbers()
     rows_of_houses: RowsOfHousesNumbers = RowsOfHousesNumbers()
     split_merge: SplitMergeNumbers = SplitMergeNumbers()
+    trees_over_shrubs: TreesOverShrubsNumbers = TreesOverShrubsNumbers()
+    vehicle_bodies: VehicleBodiesNumbers = VehicleBodiesNumbers()
     instances: InstancesNumbers = InstancesNumbers()
     raised_ground: RaisedGroundNumbers = RaisedGroundNumbers()
     roof_structures: RoofStructuresNumbers = RoofStructuresNumbers()

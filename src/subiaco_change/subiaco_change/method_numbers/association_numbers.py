@@ -134,7 +134,7 @@ class CostsNumbers(StrictModel):
 
 
 class FelledCrownsNumbers(StrictModel):
-    """Numbers of ``instance_splitting/felled_crowns.py``."""
+    """Numbers of ``instance_splitting/felled_crowns.py``; ``top_reach`` also of ``one_epoch_parts.py``."""
 
     tall: float = Field(2.0, description="Height above ground above which a plant is a crown [m]")
     cleared: float = Field(
@@ -221,10 +221,19 @@ class OneEpochPartsNumbers(StrictModel):
     """Numbers of ``instance_splitting/one_epoch_parts.py``."""
 
     cell: float = Field(0.5, description="Edge of the columns of a part [m]")
+    observed_voxels: int = Field(
+        20,
+        description="Number of observed voxels from which a part may be most of an instance",
+    )
     far_share: float = Field(
         0.2,
         description="Fraction of the voxels of a part that must lie farther from points of the other epoch "
         "than its spacing explains",
+    )
+    object_voxels: int = Field(
+        50,
+        description="Number of voxels that both epochs have from which the remainder of an instance is an "
+        "object, for example the garage of a demolished house",
     )
     overhang: float = Field(
         0.25,
@@ -285,4 +294,52 @@ class SplitMergeNumbers(StrictModel):
     least_observed: float = Field(
         0.5,
         description="Observed fraction below which a part of a building gets no row of its own",
+    )
+
+
+class TreesOverShrubsNumbers(StrictModel):
+    """Numbers of ``instance_splitting/trees_over_shrubs.py``."""
+
+    shrub_height: float = Field(
+        3.0, description="Height above ground up to which what both epochs have is a shrub [m]"
+    )
+    tree_height: float = Field(
+        4.0,
+        description="Height above ground from which what one epoch has over a shrub is a tree, and no "
+        "vehicle beside a hedge [m]",
+    )
+    times_higher: float = Field(
+        2.5,
+        description="Ratio of the height of a tree to that of the shrub beneath from which the tree is an "
+        "object of its own",
+    )
+    top_quantile: float = Field(0.95, description="Fraction of the voxels of a plant that lie below its top")
+    free_share: float = Field(
+        0.9,
+        description="Fraction of the observed voxels above a shrub that the other epoch must not have",
+    )
+    observed_share: float = Field(
+        0.5, description="Fraction of the voxels above a shrub that the other epoch must observe"
+    )
+    view_share: float = Field(
+        0.1,
+        description="Fraction of the voxels of a tree over a shrub that must lie no higher than the view of "
+        "the other epoch is known to have reached",
+    )
+    crown_width: float = Field(1.5, description="Smallest width of the crown of a tree over a shrub [m]")
+
+
+class VehicleBodiesNumbers(StrictModel):
+    """Numbers of ``objects/vehicle_bodies.py``."""
+
+    width: tuple[float, float] = Field(
+        (1.3, 2.9),
+        description="Widths of the rectangle around the points of a closed vehicle [m]; a bus with mirrors "
+        "is the widest",
+    )
+    length: tuple[float, float] = Field(
+        (2.5, 13.0), description="Lengths of the rectangle around the points of a closed vehicle [m]"
+    )
+    top_share: float = Field(
+        0.9, description="Fraction of the points of a vehicle that lie below the top of its body"
     )

@@ -51,6 +51,7 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of its outline that touches a building from which a part of any size "
         "encloses the building",
     )
+    car_height: float = Field(2.3, description="Largest height of a car [m]")
     fence_height: float = Field(
         2.0, description="Largest height above ground of a fence between two lots [m]"
     )
@@ -80,6 +81,24 @@ class BuildingExtensionsNumbers(StrictModel):
         0.5,
         description="Distance from the edge of an outline within which a wall is shared with the "
         "neighbour [m]",
+    )
+    normal_neighbours: int = Field(
+        6,
+        description="Number of voxels whose normals are compared, the voxel itself included",
+    )
+    smoothness: float = Field(
+        0.78,
+        description="Smallest mean cosine between the normals of neighbours on a wall or roof, as a "
+        "ratio; foliage mostly stays below 0.75",
+    )
+    facing: float = Field(
+        0.4,
+        description="Smallest agreement of the azimuths of the normals of a part of a building with one "
+        "rectangle, as a ratio from 0 to 1; houses have 0.6 to 1, crowns 0 to 0.2",
+    )
+    sloped: float = Field(
+        0.3,
+        description="Horizontal component of a normal from which its azimuth counts, as a ratio",
     )
     joint: float = Field(
         0.7,
@@ -502,6 +521,19 @@ class ViewOfCrownsNumbers(StrictModel):
 class ObjectDecisionNumbers(StrictModel):
     """Numbers of ``decisions/object_decision.py``."""
 
+    flat_top: float = Field(
+        0.6,
+        description="Largest height of an object without class that may be raised ground [m]",
+    )
+    laid_top: float = Field(
+        0.5,
+        description="Largest height of a supposed vehicle or plant that may be ground [m]; vehicles are "
+        "higher",
+    )
+    level_normal: float = Field(
+        0.75,
+        description="Smallest mean vertical component of normals of misclassified ground, as a ratio",
+    )
     floating: float = Field(
         0.5, description="Height above the ground from which an object that touches nothing floats [m]"
     )

@@ -65,6 +65,17 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "misclassified_ground",
+        _HERE,
+        "A low, level object of one epoch is ground with a wrong class, which is compared separately.",
+        (
+            "method_numbers.object_decision.flat_top",
+            "method_numbers.object_decision.laid_top",
+            "method_numbers.object_decision.level_normal",
+        ),
+        guards=True,
+    ),
+    Rule(
         "floating_scan_line",
         _HERE,
         "A flat line of points above the ground that touches nothing is a single scan line of something that"
@@ -253,6 +264,20 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "hidden_trunks",
+        _HERE,
+        "A tree whose trunk parked cars hide is known by a top of its own: the trimmed side of a crown has"
+        " none.",
+        ("association.parts.hidden_foot", "method_numbers.felled_crowns.top_reach"),
+    ),
+    Rule(
+        "remaining_object",
+        _HERE,
+        "The remainder of an instance may be a small fraction of the instance if the remainder is as large as"
+        " an object.",
+        ("method_numbers.one_epoch_parts.object_voxels",),
+    ),
+    Rule(
         "felled_crowns",
         _HERE,
         "A crown in whose place the other epoch, measured from above, met the ground with more beams than"
@@ -270,6 +295,35 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "trees_over_shrubs",
+        _HERE,
+        "A tree of one epoch over a shrub of both is an object of its own, which is never matched, where the"
+        " other epoch has nothing higher than the shrub.",
+        (
+            "association.parts.top",
+            "method_numbers.trees_over_shrubs.shrub_height",
+            "method_numbers.trees_over_shrubs.tree_height",
+            "method_numbers.trees_over_shrubs.times_higher",
+            "method_numbers.trees_over_shrubs.top_quantile",
+            "method_numbers.trees_over_shrubs.free_share",
+            "method_numbers.trees_over_shrubs.observed_share",
+            "method_numbers.trees_over_shrubs.view_share",
+            "method_numbers.trees_over_shrubs.crown_width",
+        ),
+    ),
+    Rule(
+        "closed_vehicles",
+        _HERE,
+        "What lies inside a vehicle of the other epoch stands in both: beams through its windows do not show"
+        " that its inside was free.",
+        (
+            "method_numbers.vehicle_bodies.width",
+            "method_numbers.vehicle_bodies.length",
+            "method_numbers.vehicle_bodies.top_share",
+        ),
+        guards=True,
+    ),
+    Rule(
         "places_seen_free",
         _HERE,
         "A place that beams of the other epoch crossed is free although points of that epoch lie near, unless"
@@ -279,6 +333,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.places_seen_free.neighbours",
             "method_numbers.places_seen_free.smooth_normals",
         ),
+    ),
+    Rule(
+        "unseen_belongs_to_most",
+        _HERE,
+        "Space that the other survey did not see belongs to the part that is gone, where less still stands.",
+        ("method_numbers.one_epoch_parts.observed_voxels",),
     ),
     Rule(
         "one_class_one_place",
@@ -402,6 +462,19 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         _HERE,
         "A part that touches a building and exists in one epoch alone is an extension of the building.",
         ("association.parts.touch", "association.parts.subordinate"),
+    ),
+    Rule(
+        "smooth_extensions",
+        _HERE,
+        "A smooth part taller than a car, with the faces of a rectangle, may be an extension although it"
+        " passed for a vehicle or a plant.",
+        (
+            "method_numbers.building_extensions.car_height",
+            "method_numbers.building_extensions.normal_neighbours",
+            "method_numbers.building_extensions.smoothness",
+            "method_numbers.building_extensions.facing",
+            "method_numbers.building_extensions.sloped",
+        ),
     ),
     Rule(
         "layers_before_walls",

@@ -14,6 +14,7 @@ from subiaco_change.geometry import in_box_around, tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.objects.known_space import Free
+from subiaco_change.objects.vehicle_bodies import inside_vehicles
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
@@ -57,8 +58,8 @@ class Voxels:
 
     ``owner`` (M,) instance; ``xyz`` (M, 3) and ``normal`` (M, 3); ``height`` (M,)
     above ground [m]; ``observed`` (M,): the other epoch observed the place;
-    ``occupied_in_other`` (M,): the other epoch has points there, of any class. Its ground counts too,
-    except at the foot of an object, which is neither observed nor occupied;
+    ``occupied_in_other`` (M,): the other epoch has points there, of any class, or one of its vehicles around
+    the place. Its ground counts too, except at the foot of an object, which is neither observed nor occupied;
     ``free_space_confirmed`` (M,): the place is not occupied, and the other epoch observed free space on both
     sides of the surface, so that its beams would have met the surface.
     """
@@ -170,6 +171,7 @@ def build_voxels(
     standing, loose = is_standing(other), is_loose(other)
     in_other = occupied(xyz, other.xyz[standing & ~loose], reach)
     in_other |= _touching(xyz, other.xyz[standing & loose], reach)
+    in_other |= inside_vehicles(xyz, other)
     ground = occupied_by_ground(xyz, other.xyz[other.semantic == Semantic.GROUND], reach)
     foot = ground & (height <= reach.standing) & ~in_other
     in_other |= ground & ~foot
