@@ -532,6 +532,13 @@ def test_nothing_is_claimed_of_a_scan_line_that_floats(places, beside, floats):
         assert "nothing is claimed" in decision.reason
 
 
+def test_a_crown_beside_a_house_is_no_wing_and_a_roof_on_it_is_one():
+    crown = np.array([p for p in walls(3, 3, 5) if p[2] > 4.2])
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_building_extensions([house, (NONE, moved(crown, 10.5))], CONFIG) == {}
+    assert find_building_extensions([house, (NONE, moved(np.add(crown, (0, 0, 2)), 5.0))], CONFIG) == {1: 0}
+
+
 def other(xyz):
     return replace(obj([(xyz, False)]), semantic=Semantic.OTHER)
 

@@ -28,6 +28,7 @@ _PARTY = NUMBERS.building_extensions.party_wall
 _PLACES = NUMBERS.building_extensions.host_places
 _GAP = NUMBERS.building_extensions.host_gap
 _ADJOINS = NUMBERS.building_extensions.least_contact
+_UNDERSIDE = NUMBERS.building_extensions.underside
 _NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
 _SMOOTH = NUMBERS.building_extensions.smoothness
 _FACING = NUMBERS.building_extensions.facing
@@ -169,7 +170,7 @@ def _is_extension(
     ``contact``: number of places of the part that touch the building. ``bare`` tells of places (N, 2)
     whether that epoch met the ground there.
     """
-    other = host[1 - epoch]
+    body, other = host[epoch], host[1 - epoch]
     if before_walls(extension.xyz, other).mean() > _LAYER:
         return False
     if contact < _ADJOINS * len(extension) or _top(extension) < _ROOM:
@@ -179,7 +180,7 @@ def _is_extension(
     if share >= config.subordinate and contact < _ROUND * len(extension):
         stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
         return applies("part_as_large_as_building", stood)
-    return not _is_open_roof(extension, bare)
+    return not (_is_elevated(extension, body) or _is_open_roof(extension, bare))
 
 
 @switchable("smooth_extensions", never)
@@ -221,11 +222,24 @@ def _inside(host: Floats, extension: Floats) -> float:
     return float(in_outline_of(extension[:, :2], host[:, :2], -_PARTY).mean()) if len(host) else 0.0
 
 
+@switchable("crown_beside_building", never)
+def _is_elevated(extension: Voxels, host: Voxels) -> bool:
+    """Tell a crown from an extension: it begins high above the ground beside its host, not above it."""
+    if extension.height.min() < max(_CAR, _UNDERSIDE * extension.height.max()):
+        return False
+    return _share_above(extension, host) < 0.5
+
+
 @switchable("open_roofs", never)
 def _is_open_roof(extension: Voxels, bare: Empty) -> bool:
     """Tell a carport or a pergola from a wing: little stands below its roof, and the ground there was met."""
     roof = extension.height > _top(extension) - _THICK
     return bool(roof.mean() >= _ROOF and bare(extension.xyz[roof, :2]).mean() >= _BARE)
+
+
+def _share_above(extension: Voxels, host: Voxels) -> float:
+    """Share of an extension above or within the outline of its host."""
+    return float(in_outline_of(host.xyz[:, :2], extension.xyz[:, :2]).mean())
 
 
 def gaps_to_host(extension: Floats, host: Floats, touch: float) -> Floats:

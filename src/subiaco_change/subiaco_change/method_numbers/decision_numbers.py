@@ -82,6 +82,11 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Distance from the edge of an outline within which a wall is shared with the "
         "neighbour [m]",
     )
+    underside: float = Field(
+        0.6,
+        description="Height of the underside of a part, as a fraction of the height of its top, above "
+        "which nothing carries the part",
+    )
     normal_neighbours: int = Field(
         6,
         description="Number of voxels whose normals are compared, the voxel itself included",

@@ -510,6 +510,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("method_numbers.building_extensions.host_inside", "method_numbers.building_extensions.party_wall"),
     ),
     Rule(
+        "crown_beside_building",
+        _HERE,
+        "A part that begins high above the ground beside a building is a crown, not an extension.",
+        ("method_numbers.building_extensions.underside",),
+    ),
+    Rule(
         "open_roofs",
         _HERE,
         "A roof on posts beside a building, with the ground seen below it, is a carport or a pergola, and no"
