@@ -51,7 +51,7 @@ class PartConfig(StrictModel):
     )
     touch: float = Field(1.5, gt=0, description="Distance within which a part adjoins a building [m]")
     subordinate: float = Field(
-        0.65,
+        1.0,
         gt=0,
         description="Ratio of part volume to building volume below which an adjoining part is an extension "
         "of the building",
