@@ -17,6 +17,7 @@ from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
 from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.layers import before_walls
+from subiaco_change.objects.space_carving import are_level
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_geo.frames import Floats
 
@@ -36,7 +37,6 @@ _SLOPED = NUMBERS.building_extensions.sloped
 _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
-_LEVEL = NUMBERS.building_extensions.roof_normal
 _FOOT = NUMBERS.building_extensions.foot
 _THICK = NUMBERS.building_extensions.roof_band
 _ROOF = NUMBERS.building_extensions.roof_share
@@ -97,33 +97,23 @@ def _stands_apart(
     """
     epoch = 0 if len(pairs[number][0]) else 1
     extension, body = pairs[number][epoch], pairs[host][epoch]
-    if not (cKDTree(body.xyz[:, :2]).query(extension.xyz[:, :2])[0] < config.touch).any():
+    walls = extension.select(~are_level(extension)), body.select(~are_level(body))
+    for part, side in (walls, (extension, body)):  # roofs count where no walls lie near
+        distance, nearest = cKDTree(side.xyz[:, :2]).query(part.xyz[:, :2])
+        near = distance < config.touch
+        if near.any():
+            break
+    else:
         links = [pairs[e][epoch] for e, h in taken.items() if h == host and len(pairs[e][epoch])]
         return sum(map(_enclosed_volume, links)) < _enclosed_volume(extension)
-    walls, side = _facing_walls(extension, body, config.touch)
-    distance, nearest = cKDTree(side.xyz[:, :2]).query(walls.xyz[:, :2])
-    if (walls.height[distance < _JOINT] > _FENCE).any() or extension.height.min() > _FOOT:
+    if (part.height[distance < _JOINT] > _FENCE).any() or extension.height.min() > _FOOT:
         return False
-    near = distance < config.touch
-    middle = 0.5 * (walls.xyz[near, :2] + side.xyz[nearest[near], :2])
+    middle = 0.5 * (part.xyz[near, :2] + side.xyz[nearest[near], :2])
     open_ = ground.bare(epoch)(middle)
     empty = ground.empty[epoch]
     if empty is not None:
-        open_ |= empty(np.column_stack([middle, walls.xyz[near, 2]]))
+        open_ |= empty(np.column_stack([middle, part.xyz[near, 2]]))
     return bool(open_.mean() >= _OPEN)
-
-
-def _facing_walls(first: Voxels, second: Voxels, touch: float) -> tuple[Voxels, Voxels]:
-    """Return the walls of two buildings, or all of them where no walls lie within a distance [m]."""
-    walls = (
-        first.select(np.abs(first.normal[:, 2]) < _LEVEL),
-        second.select(np.abs(second.normal[:, 2]) < _LEVEL),
-    )
-    if all(map(len, walls)):
-        distance = cKDTree(walls[1].xyz[:, :2]).query(walls[0].xyz[:, :2])[0]
-        if (distance < touch).any():
-            return walls
-    return first, second
 
 
 def _touching_extensions(

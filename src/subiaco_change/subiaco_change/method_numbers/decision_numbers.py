@@ -110,9 +110,6 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Distance from a building within which something of a wing lies [m]; between the voxels "
         "of two walls that meet is up to half a metre",
     )
-    roof_normal: float = Field(
-        0.7, description="Smallest vertical component of the normal of a roof, as a ratio; eaves are no walls"
-    )
     open_gap: float = Field(
         0.5,
         description="Fraction of the gap between two buildings that must be seen open for the buildings to "

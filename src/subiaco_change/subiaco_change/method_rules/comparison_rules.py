@@ -497,7 +497,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         " is no extension of the neighbour.",
         (
             "method_numbers.building_extensions.joint",
-            "method_numbers.building_extensions.roof_normal",
+            "method_numbers.space_carving.roof_normal",
             "method_numbers.building_extensions.open_gap",
             "method_numbers.building_extensions.fence_height",
             "method_numbers.building_extensions.foot",

@@ -270,7 +270,7 @@ def _walls(top: Floats, other: Voxels, frame: _Frame) -> tuple[Cells, Cells]:
 
     The latter are of the other epoch, and their places were not observed. They are no higher than the known.
     """
-    unseen = other.select(~other.observed & ~_are_level(other))
+    unseen = other.select(~other.observed & ~are_level(other))
     possible = np.minimum(np.maximum(top, _tops(unseen, frame)), top.max())
     return frame.below(top), frame.below(possible)
 
@@ -293,7 +293,7 @@ def _sides(walls: Cells) -> Ints:
 @switchable("cells_beside_surfaces", none_like_second)
 def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
     """Cells below tops that surfaces of voxels may fill; between the voxels of a wall are gaps."""
-    level = _are_level(voxels)
+    level = are_level(voxels)
     kinds = ((voxels.select(~level), _BESIDE_WALL), (voxels.select(level), _BESIDE_ROOF))
     filled = np.zeros_like(below)
     for own, reach in kinds:
@@ -427,10 +427,10 @@ def _walls_of_rooms(voxels: Voxels, state: _State, frame: _Frame, config: Carvin
     """
     slot = frame.slots(voxels.xyz[:, :2])
     tall = state.top[slot[:, 0], slot[:, 1]] >= config.room
-    return np.asarray(voxels.free_space_confirmed & ~_are_level(voxels) & tall)
+    return np.asarray(voxels.free_space_confirmed & ~are_level(voxels) & tall)
 
 
-def _are_level(voxels: Voxels) -> Mask:
+def are_level(voxels: Voxels) -> Mask:
     """Tell roofs, ceilings and floors (M,) from walls."""
     return np.asarray(np.abs(voxels.normal[:, 2]) > _LEVEL)
 
