@@ -22,6 +22,7 @@ from subiaco_change.registration.icp import (
     align_icp,
     align_level,
     find_pairs,
+    make_target,
     measure_noise,
     pair_weights,
     solve,
@@ -349,10 +350,8 @@ def judge(
     middle = max(len(targets) - 2, 0)
     # In sparse clouds voxels of finer levels hold a point or none, and equal crowns match in a third of them.
     full = middle if before.scale == 1.0 else 0
-    quality = measure_quality(before.levels[middle], targets[middle], pose, config.tukey, column(before))
-    support = measure_support(
-        before.levels[full], targets[full], pose, config.tukey, column(before), before.scale
-    )
+    quality = measure_pair(before, targets, middle, pose, wanted_walls(start, config), config)
+    support = support_pair(before, targets[full], full, pose, config)
     apart = angle = np.nan
     ndt_better = False
     if ndt_pose is not None:
@@ -365,6 +364,52 @@ def judge(
         pose, pairs, step.degenerate, step.eigenvalues, quality, support, apart, angle, ndt_better, rmse,
         start,
     )  # fmt: skip
+
+
+def wanted_walls(start: str, config: RegistrationConfig) -> float:
+    """Share of the walls in the overlap that must match, by how the fit began."""
+    return config.min_standing_search if start == "coarse" else config.min_standing
+
+
+def measure_pair(
+    before: PreparedEpoch,
+    targets: list[Target],
+    level: int,
+    pose: Floats,
+    least: float,
+    config: RegistrationConfig,
+) -> Quality:
+    """Judge a pose on one level; where the walls of *before* fall short of a share, by those of *after*.
+
+    A building that was taken down matches nothing at the right pose, and one that is new the other way
+    round. At a wrong pose the walls of neither epoch match.
+    """
+    source, target = before.levels[level], targets[level]
+    quality = measure_quality(source, target, pose, config.tukey, column(before))
+    if not falls_short(quality.standing, quality.n_standing, least):
+        return quality
+    back = measure_quality(target.level, make_target(source), invert_pose(pose), config.tukey, column(before))
+    if falls_short(back.standing, back.n_standing, least):
+        return quality
+    return replace(quality, standing=back.standing, n_standing=back.n_standing)
+
+
+def support_pair(
+    before: PreparedEpoch, target: Target, level: int, pose: Floats, config: RegistrationConfig
+) -> Support:
+    """Compare the match of structure with chance; where that of *before* is too little, that of *after*."""
+    source, cell = before.levels[level], column(before)
+    support = measure_support(source, target, pose, config.tukey, cell, before.scale)
+    if surely_beyond_chance(support) >= config.min_support:
+        return support
+    turned = make_target(source), invert_pose(pose)
+    back = measure_support(target.level, *turned, config.tukey, cell, before.scale)
+    return max(support, back, key=surely_beyond_chance)
+
+
+def surely_beyond_chance(support: Support) -> float:
+    """Share of the structure that matches beyond chance, less its standard errors."""
+    return support.excess - _SUPPORTED * support.excess_error
 
 
 def _structure(pairs: Pairs, config: RegistrationConfig) -> float:
@@ -388,7 +433,7 @@ def difference(one: Floats, other: Floats, centre: Floats) -> tuple[float, float
 def complaints(fit: Fit, trusted: bool, config: RegistrationConfig) -> list[str]:
     """Say in words which checks a fit fails; ``trusted`` says that a prior vouches for its start."""
     q, support = fit.quality, fit.support
-    least = config.min_standing_search if fit.start == "coarse" else config.min_standing
+    least = wanted_walls(fit.start, config)
     disagree = max(
         fit.disagreement / config.max_disagreement, fit.disagreement_deg / config.max_disagreement_deg
     )
@@ -397,7 +442,7 @@ def complaints(fit: Fit, trusted: bool, config: RegistrationConfig) -> list[str]
         f"{support.chance:.2f} match by chance at poses aside"
     )
     needed = 0.0 if trusted else config.min_support
-    unsupported = support.excess - _SUPPORTED * support.excess_error < needed
+    unsupported = surely_beyond_chance(support) < needed
     checks = [
         (q.overlap < config.min_overlap, f"overlap {q.overlap:.2f} < {config.min_overlap}"),
         (

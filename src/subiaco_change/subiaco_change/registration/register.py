@@ -24,6 +24,7 @@ from subiaco_change.registration.fitting import (
     falls_short,
     fit_groups,
     judge,
+    measure_pair,
     prepare_pair,
     refine,
     refine_coarsely,
@@ -67,10 +68,9 @@ def _from_identity(
     pose = np.eye(4)
     pose[:3, 3] = before.centre - after.centre
     rough = refine_coarsely(before, after, pose, config)
-    quality = measure_quality(before.levels[0], targets[0], rough, config.tukey, column(before))
-    if quality.overlap < config.min_overlap or falls_short(
-        quality.standing, quality.n_standing, 0.6 * config.min_standing
-    ):
+    least = 0.6 * config.min_standing
+    quality = measure_pair(before, targets, 0, rough, least, config)
+    if quality.overlap < config.min_overlap or falls_short(quality.standing, quality.n_standing, least):
         raise RegistrationError(
             f"identity: after NDT only {quality.standing:.2f} of the walls in the overlap "
             f"({quality.overlap:.2f}) match"
