@@ -107,6 +107,39 @@ def test_different_places_are_an_error_that_says_why(street):
         )
 
 
+def with_and_without_a_hall(seed):
+    """A street of trees and cars, and the same with a hall of 24 x 16 m, its only building."""
+    with_hall, without = (Street(seed=seed, length=120.0, width=60.0) for _ in range(2))
+    with_hall.houses = [((0.0, 12.0), np.array([24.0, 16.0, 9.0]), 0.1)]
+    without.houses = []
+    return with_hall, without
+
+
+@pytest.mark.parametrize("is_built", [False, True])
+def test_a_street_whose_only_building_was_taken_down_or_built_is_registered(is_built):
+    truth = pose((0.1, -0.1, 0.4), (0.5, -0.4, 0.2))
+    with_hall, without = with_and_without_a_hall(seed=4)
+    before, after = (without, with_hall) if is_built else (with_hall, without)
+    result = register(cloud(moved(before.sample(1), truth)), cloud(after.sample(2)), CONFIG)
+    shift, angle = errors(result.T_after_before, truth, result.origin)
+    assert shift < 0.01
+    assert angle < 0.02
+
+
+def test_ways_that_end_apart_are_refused_without_a_prior_and_widen_the_uncertainty_with_one():
+    truth = pose((0.1, -0.1, 0.4), (0.5, -0.4, 0.2))
+    with_hall, without = with_and_without_a_hall(seed=1)
+    before, after = moved(without.sample(1), truth), with_hall.sample(2)
+    with pytest.raises(RegistrationError, match="NDT and ICP disagree"):
+        register(cloud(before), cloud(after), CONFIG)
+    result = register(cloud(before, "EPSG:7850"), cloud(after, "EPSG:7850"), CONFIG)
+    apart = result.details["ndt_icp_m"]
+    assert CONFIG.max_disagreement < apart < 3.0 * CONFIG.max_disagreement
+    assert any(f"end {apart:.2f} m" in warning for warning in result.warnings)
+    assert np.linalg.norm(result.pose_std[3:]) > 0.9 * apart
+    assert errors(result.T_after_before, truth, result.origin)[0] < apart
+
+
 def test_a_corridor_keeps_the_prior_along_its_axis_and_says_so():
     def corridor(seed):
         rng = np.random.default_rng(seed)

@@ -113,7 +113,7 @@ def _stands_apart(
     empty = ground.empty[epoch]
     if empty is not None:
         open_ |= empty(np.column_stack([middle, part.xyz[near, 2]]))
-    return bool((open_ & (distance[near] >= _JOINT)).mean() >= _OPEN)
+    return bool(open_.mean() >= _OPEN)
 
 
 def _touching_extensions(

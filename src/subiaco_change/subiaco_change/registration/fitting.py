@@ -96,6 +96,16 @@ class Fit:
     start: str
     spread: PoseSpread | None = None
     correlated: bool = False
+    ndt_pose: Floats | None = None
+
+    def is_disputed(self, config: RegistrationConfig) -> bool:
+        """Tell whether NDT ends further away than is allowed, and fits as well there."""
+        return self.ndt_better and self.disagreements(config) > 1.0
+
+    def disagreements(self, config: RegistrationConfig) -> float:
+        """How far NDT ends away, as a multiple of what is allowed; NaN where NDT says nothing."""
+        shift, angle = config.max_disagreement, config.max_disagreement_deg
+        return max(self.disagreement / shift, self.disagreement_deg / angle)
 
 
 def prepare_pair(
@@ -362,7 +372,7 @@ def judge(
     rmse = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
     return Fit(
         pose, pairs, step.degenerate, step.eigenvalues, quality, support, apart, angle, ndt_better, rmse,
-        start,
+        start, ndt_pose=ndt_pose,
     )  # fmt: skip
 
 
@@ -434,9 +444,6 @@ def complaints(fit: Fit, trusted: bool, config: RegistrationConfig) -> list[str]
     """Say in words which checks a fit fails; ``trusted`` says that a prior vouches for its start."""
     q, support = fit.quality, fit.support
     least = wanted_walls(fit.start, config)
-    disagree = max(
-        fit.disagreement / config.max_disagreement, fit.disagreement_deg / config.max_disagreement_deg
-    )
     words = (
         f"only {support.match:.2f} of the walls, crowns and trunks in the overlap match, "
         f"{support.chance:.2f} match by chance at poses aside"
@@ -456,7 +463,7 @@ def complaints(fit: Fit, trusted: bool, config: RegistrationConfig) -> list[str]
         (unsupported and not (trusted and support.squares < _FEW), words),
         (fit.rmse > config.max_rmse, f"RMSE {fit.rmse:.3f} m > {config.max_rmse}"),
         (
-            disagree > (1.0 if fit.ndt_better else _WORSE),
+            fit.disagreements(config) > _WORSE or (fit.is_disputed(config) and not trusted),
             f"NDT and ICP disagree by {fit.disagreement:.2f} m, {fit.disagreement_deg:.2f} deg",
         ),
         (

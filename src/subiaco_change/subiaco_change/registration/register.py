@@ -296,9 +296,7 @@ def _doubted(
         )
         return replace(found, warnings=(*found.warnings, *warnings))
     known = _report(better, sides, targets[-1], found.origin, found.method, config)
-    moved = transform_points(better.pose @ invert_pose(fit.pose), fit.pairs.points) - fit.pairs.points
-    along = float(np.sqrt(np.mean(np.einsum("ni,ni->n", moved, fit.pairs.normals) ** 2)))
-    offset = twist_between(better.pose, fit.pose, fit.pairs.points.mean(axis=0))
+    along, offset = _distance_between(better.pose, fit)
     if shift > max(_NOTED, 3.0 * float(np.linalg.norm(known.pose_std[3:]))):
         warnings.append(
             f"the {found.method} transform was used as it is, but registration would move before by "
@@ -311,6 +309,14 @@ def _doubted(
         warnings=(*found.warnings, *warnings),
         details={**found.details, "registration_would_move_m": shift, "registration_would_turn_deg": angle},
     )
+
+
+def _distance_between(pose: Floats, fit: Fit) -> tuple[float, Floats]:
+    """RMS along the normals of the pairs by which a pose differs from a fit [m], and their twist (6,)."""
+    points = fit.pairs.points
+    moved = transform_points(pose @ invert_pose(fit.pose), points) - points
+    along = float(np.sqrt(np.mean(np.einsum("ni,ni->n", moved, fit.pairs.normals) ** 2)))
+    return along, twist_between(pose, fit.pose, points.mean(axis=0))
 
 
 def _report(
@@ -344,6 +350,14 @@ def _report(
     if level > _NOTED_LEVEL:
         text = f"the horizontal position is known to {level:.2f} m only (standard deviation), because little "
         warnings += (text + "rises above the ground that both clouds show alike",)
+    if fit.ndt_pose is not None and fit.is_disputed(config):
+        apart, twist = _distance_between(fit.ndt_pose, fit)
+        sigma, std = float(np.hypot(sigma, apart)), np.hypot(std, twist)
+        text = f"two ways of registering, NDT and ICP, end {fit.disagreement:.2f} m and "
+        text += (
+            f"{fit.disagreement_deg:.2f} deg from each other and fit about as well: no rigid motion brings "
+        )
+        warnings += (text + "the epochs together better, and the stated uncertainty includes the difference",)
     return Registration(
         T_local, origin + centroid, sigma, fit.rmse, inliers, std, method,
         fit.degenerate, warnings, {**_details(fit, spread, sides), "sigma_groups_m": float(along)},
