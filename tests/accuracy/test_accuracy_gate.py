@@ -7,7 +7,8 @@ the method gets better, and not lowered to let a change pass. One was, by one ob
 tree that grew by 0.54 m was measured in four columns, and the excess of its top equalled its limit to the
 centimetre. The floors of the other two streets rose by more. That of the bare street was lowered once: method
 1.18 passed the former floor of 71.0 on one machine and scored 70.9 on another, as method 1.19 does. It had
-fallen from 74.8 since the floor was set.
+fallen from 74.8 since the floor was set. With method 1.43 it rose: version 1.42 had deleted a rule that this
+street needs, and scored 68.9.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Gate:
 GATES = (
     Gate("suburb", 201, 8.0, False, 57.5, 45.5, 9, 10, 2),  # measured: 60.3, 46.2, 6, 1, 1
     Gate("dense", 201, 8.0, False, 45.0, 54.0, 8, 10, 5),  # measured: 48.9, 60.4, 7, 4, 2
-    Gate("default", 202, 10.0, True, 69.0, 70.0, 5, 25, 4),  # measured: 70.9, 71.4, 4, 10, 1
+    Gate("default", 202, 10.0, True, 74.0, 70.0, 4, 25, 4),  # measured: 77.5, 73.5, 2, 10, 1
 )
 
 

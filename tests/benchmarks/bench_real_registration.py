@@ -3,6 +3,7 @@
 
     python tests/benchmarks/bench_real_registration.py pairs        # random halves: the transform is known
     python tests/benchmarks/bench_real_registration.py varied       # random pieces, densities and overlaps
+    python tests/benchmarks/bench_real_registration.py changed      # most objects taken out of one epoch
     python tests/benchmarks/bench_real_registration.py wrong        # other places, wrong transforms
     python tests/benchmarks/bench_real_registration.py pairs --only autzen oakland
 
@@ -17,6 +18,7 @@ from __future__ import annotations
 import argparse
 import gzip
 import io
+import itertools
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -25,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bench_airborne import told_apart
 from results import keep, rounded
 from scipy.spatial.transform import Rotation
 
@@ -209,6 +212,23 @@ def varied_pairs(name: str, xyz: Floats, count: int) -> Iterator[Pair]:
         yield Pair(f"{name} {number}: {words}", transform_points(invert_pose(truth), before), after, truth)
 
 
+def changed_pairs(name: str, xyz: Floats, count: int) -> Iterator[Pair]:
+    """Yield pairs of which one epoch lacks half of the objects over 2 m and 20 m2, or four fifths of them.
+
+    Seeds 0 to ``count`` - 1 draw them; each pair is registered in both directions of time.
+    """
+    owner = told_apart(xyz).owner
+    truth = motion("0.7 m", np.median(xyz, axis=0))
+    for seed, share in itertools.product(range(count), (0.5, 0.8)):
+        rng = np.random.default_rng(seed)
+        gone = np.append(rng.random(int(owner.max()) + 1) < share, False)[owner]
+        first = rng.random(len(xyz)) < 0.5
+        whole, emptied = xyz[first], xyz[~first & ~gone]
+        for words, before, after in (("taken out", whole, emptied), ("put in", emptied, whole)):
+            title = f"{name}, {100 * gone.mean():.0f} % {words}, seed {seed}"
+            yield Pair(title, transform_points(invert_pose(truth), before), after, truth)
+
+
 def cloud(xyz: Floats) -> PointCloud:
     """Return a cloud at the working leaf, as the change run registers it."""
     return voxel_downsample(from_world(xyz), LEAF)
@@ -296,14 +316,15 @@ def load(read: Callable[[], Floats]) -> Floats | None:
         return None
 
 
-def run_pairs(only: list[str], words: list[str], varied: int = 0) -> list[dict[str, Any]]:
-    """Register pairs of fixed densities, or ``varied`` random ones of every cloud."""
+def run_pairs(job: str, only: list[str], words: list[str], count: int) -> list[dict[str, Any]]:
+    """Register pairs of fixed densities, or so many drawn ones of every cloud."""
     rows = []
+    drawn = {"varied": varied_pairs, "changed": changed_pairs}
     for name, read in SOURCES.items():
         xyz = load(read) if wanted(name, only) else None
         if xyz is None:
             continue
-        for pair in varied_pairs(name, xyz, varied) if varied else pairs_of(name, xyz):
+        for pair in drawn[job](name, xyz, count) if job in drawn else pairs_of(name, xyz):
             if all(word in pair.name for word in words):
                 rows.append(measure(pair))
                 print(rows[-1], flush=True)
@@ -336,14 +357,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("job", choices=["pairs", "varied", "wrong"])
+    parser.add_argument("job", choices=["pairs", "varied", "changed", "wrong"])
     parser.add_argument("--only", nargs="*", default=[], help="words, one of which a source's name holds")
     parser.add_argument("--words", nargs="*", default=[], help="words, all of which a pair's name holds")
-    parser.add_argument("--count", type=int, default=4, help="pairs of each cloud (varied)")
+    parser.add_argument("--count", type=int, default=4, help="drawn pairs, or seeds, of each cloud")
     parser.add_argument("--json", type=Path, help="leave the rows there")
     arguments = parser.parse_args()
     if arguments.job != "wrong":
-        rows = run_pairs(arguments.only, arguments.words, arguments.count * (arguments.job == "varied"))
+        rows = run_pairs(arguments.job, arguments.only, arguments.words, arguments.count)
         table(rows)
     else:
         rows = run_wrong(arguments.only)

@@ -230,6 +230,20 @@ def test_a_new_house_that_a_fence_joins_to_its_neighbour_is_no_wing_of_it(top, w
     assert bool(found) == wing
 
 
+def test_a_house_between_two_others_is_no_wing_of_either():
+    ends = [(moved(HOUSE, x), moved(HOUSE, x)) for x in (0, 16)]
+    middle = (moved(walls(6, 8, 4), 10), NONE)
+    assert find_building_extensions([*ends, middle], CONFIG) == {}
+    with rules_switched_off(["part_between_buildings"]):
+        assert list(find_building_extensions([*ends, middle], CONFIG)) == [2]
+
+
+def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing():
+    first = voxels(np.concatenate([HOUSE, np.add(walls(3, 2, 5), (10, 8, 0))]))
+    last, middle = moved(walls(10, 4, 5), 13), np.add(walls(3, 8, 4), (10, 0, 0))
+    assert find_building_extensions([(first, first), (last, last), (voxels(middle), NONE)], CONFIG) == {}
+
+
 @pytest.mark.parametrize(("gap", "wing"), [(0.7, False), (0.2, True)], ids=["an open gap", "a wing"])
 def test_eaves_over_an_open_gap_join_no_garage_to_the_house(gap, wing):
     eaves, garage = block((10.0, 0.0, 3.0), (10.5, 8.0, 3.25)), np.add(walls(6, 6, 2.8), (10 + gap, 0, 0))

@@ -29,6 +29,7 @@ _PARTY = NUMBERS.building_extensions.party_wall
 _PLACES = NUMBERS.building_extensions.host_places
 _GAP = NUMBERS.building_extensions.host_gap
 _ADJOINS = NUMBERS.building_extensions.least_contact
+_LEANS = NUMBERS.building_extensions.second_contact
 _UNDERSIDE = NUMBERS.building_extensions.underside
 _NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
 _SMOOTH = NUMBERS.building_extensions.smoothness
@@ -125,7 +126,8 @@ def _touching_extensions(
 ) -> dict[int, int]:
     """Map extensions to the hosts that they touch most closely, less those that are taken.
 
-    Houses apart do not touch. A wing that fills the gap between two houses comes near both.
+    Houses apart do not touch. A wing that fills the gap between two houses comes near both, and a house that
+    leans on two others, as near to one as to the other, is an extension of neither.
     """
     hosts = [i for i, pair in enumerate(pairs) if all(map(len, pair)) and max(_top(v) for v in pair) >= _ROOM]
     extensions: dict[int, int] = {}
@@ -142,6 +144,10 @@ def _touching_extensions(
         keys = [remoteness(g) for g in gaps]
         nearest = keys.index(min(keys))
         host, contact = hosts[nearest], len(gaps[nearest])
+        as_near = sorted(len(g) for g, key in zip(gaps, keys, strict=True) if key[0] == keys[nearest][0])
+        leans = len(as_near) > 1 and as_near[-2] > _LEANS * len(extension)
+        if applies("part_between_buildings", leans):
+            continue
         if _is_extension(pair[epoch], pairs[host], epoch, contact, config, ground.bare(epoch)):
             extensions[number] = host
     return extensions

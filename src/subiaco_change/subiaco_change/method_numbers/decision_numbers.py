@@ -72,6 +72,11 @@ class BuildingExtensionsNumbers(StrictModel):
         0.5,
         description="Difference of distance from which the nearer house is the host of an extension [m]",
     )
+    second_contact: float = Field(
+        0.25,
+        description="Fraction of the outline of a part that touches a second building from which the part "
+        "belongs to neither",
+    )
     host_inside: float = Field(
         0.3,
         description="Fraction of a building inside a part of one epoch from which the part is the "

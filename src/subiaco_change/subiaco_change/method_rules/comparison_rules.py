@@ -504,6 +504,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "part_between_buildings",
+        _HERE,
+        "A part that touches a second building too is no extension of either.",
+        ("method_numbers.building_extensions.second_contact",),
+    ),
+    Rule(
         "part_as_large_as_building",
         _HERE,
         "A part as large as its building is the building itself where the building's walls stand inside it.",
