@@ -140,6 +140,8 @@ SOURCES: dict[str, Callable[[], Floats]] = {
     "site (handheld)": site(1),
     "kitti (mobile, 77 sweeps)": kitti(0),
 }
+#: Small clouds, in which one building may hold most of the walls: for changed pairs alone.
+PIECES = {f"oakland {name} (one piece)": oakland(name) for name in ("aj", "ak", "al", "am", "an", "ao", "ap")}
 
 
 @dataclass(frozen=True)
@@ -320,7 +322,7 @@ def run_pairs(job: str, only: list[str], words: list[str], count: int) -> list[d
     """Register pairs of fixed densities, or so many drawn ones of every cloud."""
     rows = []
     drawn = {"varied": varied_pairs, "changed": changed_pairs}
-    for name, read in SOURCES.items():
+    for name, read in {**SOURCES, **(PIECES if job == "changed" else {})}.items():
         xyz = load(read) if wanted(name, only) else None
         if xyz is None:
             continue
