@@ -360,7 +360,7 @@ def judge(
     middle = max(len(targets) - 2, 0)
     # In sparse clouds voxels of finer levels hold a point or none, and equal crowns match in a third of them.
     full = middle if before.scale == 1.0 else 0
-    quality = measure_pair(before, targets, middle, pose, wanted_walls(start, config), config)
+    quality = measure_pair(before, targets[middle], middle, pose, wanted_walls(start, config), config)
     support = support_pair(before, targets[full], full, pose, config)
     apart = angle = np.nan
     ndt_better = False
@@ -383,7 +383,7 @@ def wanted_walls(start: str, config: RegistrationConfig) -> float:
 
 def measure_pair(
     before: PreparedEpoch,
-    targets: list[Target],
+    target: Target,
     level: int,
     pose: Floats,
     least: float,
@@ -394,11 +394,11 @@ def measure_pair(
     A building that was taken down matches nothing at the right pose, and one that is new the other way
     round. At a wrong pose the walls of neither epoch match.
     """
-    source, target = before.levels[level], targets[level]
-    quality = measure_quality(source, target, pose, config.tukey, column(before))
+    source, cell = before.levels[level], column(before)
+    quality = measure_quality(source, target, pose, config.tukey, cell)
     if not falls_short(quality.standing, quality.n_standing, least):
         return quality
-    back = measure_quality(target.level, make_target(source), invert_pose(pose), config.tukey, column(before))
+    back = measure_quality(target.level, make_target(source), invert_pose(pose), config.tukey, cell)
     if falls_short(back.standing, back.n_standing, least):
         return quality
     return replace(quality, standing=back.standing, n_standing=back.n_standing)

@@ -69,7 +69,7 @@ def _from_identity(
     pose[:3, 3] = before.centre - after.centre
     rough = refine_coarsely(before, after, pose, config)
     least = 0.6 * config.min_standing
-    quality = measure_pair(before, targets, 0, rough, least, config)
+    quality = measure_pair(before, targets[0], 0, rough, least, config)
     if quality.overlap < config.min_overlap or falls_short(quality.standing, quality.n_standing, least):
         raise RegistrationError(
             f"identity: after NDT only {quality.standing:.2f} of the walls in the overlap "
@@ -353,11 +353,12 @@ def _report(
     if fit.ndt_pose is not None and fit.is_disputed(config):
         apart, twist = _distance_between(fit.ndt_pose, fit)
         sigma, std = float(np.hypot(sigma, apart)), np.hypot(std, twist)
-        text = f"two ways of registering, NDT and ICP, end {fit.disagreement:.2f} m and "
-        text += (
-            f"{fit.disagreement_deg:.2f} deg from each other and fit about as well: no rigid motion brings "
+        text = (
+            f"two ways of registering, NDT and ICP, end {fit.disagreement:.2f} m and"
+            f" {fit.disagreement_deg:.2f} deg from each other and fit about as well: no rigid motion brings"
+            " the epochs together better, and the stated uncertainty includes the difference"
         )
-        warnings += (text + "the epochs together better, and the stated uncertainty includes the difference",)
+        warnings += (text,)
     return Registration(
         T_local, origin + centroid, sigma, fit.rmse, inliers, std, method,
         fit.degenerate, warnings, {**_details(fit, spread, sides), "sigma_groups_m": float(along)},
