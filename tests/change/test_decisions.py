@@ -91,6 +91,21 @@ def test_a_label_of_a_building_needs_the_middle_beyond_its_limit_and_a_certain_s
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_change_of_height_tells_no_sign_that_the_middle_of_the_volume_opposes(sign):
+    """A house was replaced by a lower one: the veranda rose, and nobody saw what is under the gable now."""
+
+    def told(low, high):
+        height, volume = Interval(0.7, 1.0), Interval(low, high)
+        turned = (height, volume) if sign > 0 else (-height, -volume)
+        return label(height_bounds=turned[0], volume_bounds=turned[1])
+
+    grew = Change.INCREASED if sign > 0 else Change.DECREASED
+    assert told(-82.0, 22.0) is Change.UNCHANGED
+    assert told(-30.0, 22.0) is grew  # by less than half of the limit
+    assert told(0.0, 22.0) is grew
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unless_the_height_opposes(sign):
     """Of a wing most of the volume was not seen: its bounds are 1 and 40 %; its surface tells the sign."""
 

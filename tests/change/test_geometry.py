@@ -47,6 +47,7 @@ def test_places_lie_near_points_up_to_the_reach_and_no_farther():
     assert lies_near(places, np.zeros((1, 2)), 1.5).tolist() == [True, True, False, False]
     assert not lies_near(places, np.full((3, 2), 90.0), 1.5).any()
     assert not lies_near(places, np.zeros((0, 2)), 1.5).any()
+    assert lies_near(places[:0], places, 1.5).shape == (0,)
 
 
 def test_planes_are_those_of_numpy_eigenvectors(points):

@@ -65,6 +65,26 @@ def test_the_edge_of_a_roof_that_beams_graze_stands():
     assert not result.moving.any()
 
 
+def test_the_lower_leaves_of_a_crown_are_no_trail_and_a_trail_beneath_a_high_crown_is_one():
+    """Most beams pass through the thin lower part of a crown; the street tree hangs over the way of a car."""
+    rng = np.random.default_rng(5)
+    crown = rng.uniform([-1.6, -1.6, 0.8], [1.6, 1.6, 7.0], (3000, 3))
+    crown = crown[np.hypot(crown[:, 0], crown[:, 1]) < 1.6] + (2.0, -6.2, 0.0)
+    high = rng.uniform([-6.0, -4.0, 4.5], [-2.0, -0.5, 8.0], (3000, 3))
+    leaves = np.concatenate([crown, high])
+    leaves[:, 2] += ground_z(leaves[:, 0], leaves[:, 1])
+    ghosts = trail()
+    street = SCENE.cloud(4).xyz
+    street = street[cKDTree(leaves[:, :2]).query(street[:, :2])[0] > 0.5]
+    cloud = voxel_downsample(PointCloud(np.concatenate([street, ghosts, leaves])), 0.25)
+    ghostly, leafy = (cKDTree(places).query(cloud.xyz)[0] < 0.1 for places in (ghosts, leaves))
+    height = cloud.xyz[:, 2] - ground_z(cloud.xyz[:, 0], cloud.xyz[:, 1])
+    thin = leafy & (height < 3.5)
+    result = label_points(cloud, SemanticsConfig(), np.where(ghostly, 300.0, np.where(thin, 60.0, 2.0)))
+    assert not result.moving[leafy].any()
+    assert result.moving[ghostly & (height > 0.25)].mean() > 0.95
+
+
 def test_a_long_trail_close_to_a_fence_is_a_trail():
     along, up = np.meshgrid(np.arange(-28.0, 28.0, 0.1), np.arange(0.2, 1.5, 0.1))
     fence = np.column_stack([along.ravel(), np.full(along.size, -0.7), up.ravel()])

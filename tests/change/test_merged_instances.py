@@ -151,3 +151,33 @@ def test_a_stretch_of_a_row_that_nobody_saw_is_no_house_that_was_removed():
     whole = decide_object(before, after, Semantic.BUILDING, RULES)
     found = split_row_houses([whole], RULES)
     assert Change.REMOVED not in {change.decision.change for change in found}
+
+
+def test_in_a_long_row_that_neither_epoch_parts_each_house_between_changed_ones_has_a_row_of_its_own():
+    """Each of eleven houses is a tenth of the row, less than a fragment of a match must be."""
+    before = (5.0,) * 11
+    after = tuple(8.0 if place % 2 else 5.0 for place in range(11))
+    sides = [row(heights, [list(range(11))]) for heights in (before, after)]
+    whole = decide_object(objects(*sides), objects(*sides[::-1]), Semantic.BUILDING, RULES)
+    for change in split_row_houses([whole], RULES):
+        x = np.concatenate([t.xyz[:, 0] for t in (*change.before, *change.after)])
+        assert np.ptp(x) <= WIDTH + 2.0  # with the walls of its neighbours
+    told = labels((before, after), ([list(range(11))],) * 2, [((0,), (0,))])
+    assert all((Change.INCREASED in told[place]) == bool(place % 2) for place in range(11))
+
+
+def test_a_house_at_the_end_of_a_row_that_the_other_epoch_did_not_see_does_not_hide_that_another_is_gone():
+    sides = [row((5.0, 5.0, 5.0, 5.0), [[0, 1, 2], [3]]), row((5.0, 0.0, 5.0), [[0], [2]])]
+    before, after = objects(*sides), objects(*sides[::-1])
+    unseen = np.zeros(len(before[1].voxels), dtype=bool)
+    hidden = replace(before[1].voxels, observed=unseen, free_space_confirmed=unseen)
+    before[1] = replace(before[1], voxels=hidden)
+    whole = decide_object(before, after, Semantic.BUILDING, RULES)
+    found = {}
+    for change in split_row_houses([whole], RULES):
+        x = np.concatenate([t.xyz[:, 0] for t in (*change.before, *change.after)])
+        for place in np.unique(np.floor(x / WIDTH).astype(int)).tolist():
+            found.setdefault(place, set()).add(change.decision.change)
+    assert found[1] == GONE
+    assert found[0] == found[2] == SAME
+    assert not found[3] & {Change.REMOVED, Change.DECREASED}

@@ -49,7 +49,7 @@ def tree_for_few(points: Floats) -> cKDTree:
 
 def lies_near(places: Floats, points: Floats, reach: float) -> NDArray[np.bool_]:
     """Tell which places (M, D) lie within ``reach`` [m] of points (N, D)."""
-    near = points[in_box_around(points, places, reach)]
+    near = points[in_box_around(points, places, reach)] if len(places) else points[:0]
     if len(near) == 0:
         return np.zeros(len(places), dtype=np.bool_)
     just_beyond = np.nextafter(reach, np.inf)

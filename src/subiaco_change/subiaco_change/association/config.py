@@ -120,7 +120,8 @@ class AssociationConfig(StrictModel):
         0.15,
         gt=0,
         le=1,
-        description="Fraction of a match from which one of several fragments may be a separate object",
+        description="Size of a fragment of a match, as a fraction of the largest fragment, from which it "
+        "may be a separate object",
     )
     stacked: float = Field(
         0.3, ge=0, le=1, description="Fraction of common columns from which two fragments are one object"

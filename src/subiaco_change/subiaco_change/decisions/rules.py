@@ -295,13 +295,15 @@ def _span(height: Interval) -> str:
 def _rise(height: Interval, volume: Interval, surface: float, room: float, rules: BuildingLimits) -> float:
     """Return by how much a rise of a building is met; that of its height needs volume or walls that carry it.
 
-    Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
+    Where one epoch saw little of a house, the columns that both know may be of its neighbours; and where a
+    house was replaced, its veranda may have risen while its gable fell. ``surface`` is
     the area of the walls of what was built on that the other epoch would have met [m2]: it tells the sign,
     unless the height says the opposite, or is not known to its limit, so that unseen roofs decide. To the
     depth ``sign_depth`` behind it, ``room`` must fit: the volume of the limit [m3].
     """
     carried = volume.high >= rules.height_volume or surface >= rules.height_surface
-    unsupported = applies("volume_supports_height", not carried)
+    opposed = volume.middle < -_OPPOSED
+    unsupported = applies("volume_supports_height", not carried or opposed)
     known = height.middle > -_OPPOSED and height.high - height.low <= 2.0
     shown = surface >= max(rules.sign_surface, room / rules.sign_depth) and known
     nearer = 0.0 if applies("sign_by_surface", shown) else rules.certain

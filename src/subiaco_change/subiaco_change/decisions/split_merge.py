@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
+from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import AssociationConfig
 from subiaco_change.association.costs import overlap_counts
@@ -302,23 +303,48 @@ def _labels(changes: Sequence[ObjectChange]) -> Counter[Change]:
 def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the houses of a row one by one; none where they fared alike.
 
-    None either where one has no partner, and is not seen to be new or gone, or hardly overlaps its partner; a
-    fence on its plot is no partner.
+    A piece that has no partner, and is not seen to be new or gone, is no house: it joins the piece nearest to
+    it. So does one that hardly overlaps its partner; a fence on its plot is no partner.
     """
-    if len(pieces) == 1 or not any(b and a for b, a in pieces):
+    if not any(b and a for b, a in pieces):
         return []
-    parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
-    if any(not (p.before and p.after) and p.decision.change not in ONE_EPOCH for p in parts):
-        return []
-    parts = [
-        part
-        for both in parts
-        for part in (part_hardly_overlapping([both], rules) if _remains_little(both, rules) else [both])
-    ]
-    if any(_is_apart(p, rules) for p in parts):
-        return []
-    labels = {part.decision.change for part in parts}
-    return parts if len(labels) > 1 and not labels.isdisjoint(CHANGED) else []
+    houses = [(piece, _as_house(piece, rules)) for piece in pieces]
+    while len(houses) > 1:
+        lone = next((k for k, (_, parts) in enumerate(houses) if not _are_houses(parts, rules)), None)
+        if lone is None:
+            parts = [part for _, some in houses for part in some]
+            labels = {part.decision.change for part in parts}
+            return parts if len(labels) > 1 and not labels.isdisjoint(CHANGED) else []
+        piece, _ = houses.pop(lone)
+        hosts = [k for k, ((b, a), _) in enumerate(houses) if b and a]
+        if not hosts:
+            return []
+        host = min(hosts, key=lambda k: _gap(piece, houses[k][0]))
+        together = houses[host][0][0] + piece[0], houses[host][0][1] + piece[1]
+        houses[host] = together, _as_house(together, rules)
+    return []
+
+
+def _as_house(piece: Piece, rules: ObjectRules) -> list[ObjectChange]:
+    """Decide a house of a row; apart in both epochs where next to nothing of it stands in one of them."""
+    both = decide_object(*piece, Semantic.BUILDING, rules)
+    return part_hardly_overlapping([both], rules) if _remains_little(both, rules) else [both]
+
+
+def _are_houses(parts: Sequence[ObjectChange], rules: ObjectRules) -> bool:
+    """Tell whether what became of a piece of a row is known, as that of a house of its own.
+
+    ``parts``: the piece, or what either epoch has of it.
+    """
+    first = parts[0]
+    known = len(parts) > 1 or (first.before and first.after) or first.decision.change in ONE_EPOCH
+    return bool(known) and not any(_is_apart(p, rules) for p in parts)
+
+
+def _gap(one: Piece, other: Piece) -> float:
+    """Smallest distance of two pieces seen from above, whatever the epoch [m]."""
+    places = [join_voxels((*b, *a)).xyz[:, :2] for b, a in (one, other)]
+    return float(cKDTree(places[0]).query(places[1])[0].min())
 
 
 @switchable("hedge_sections", first_argument)

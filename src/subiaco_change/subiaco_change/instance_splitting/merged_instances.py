@@ -17,7 +17,7 @@ from subiaco_change.instance_splitting.changed_houses import changed_houses
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.objects.column_volumes import column_keys
-from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, join_voxels
+from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, height_of, join_voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
@@ -109,8 +109,8 @@ def separate_bodies(
     objects: Sequence[ObjectInstance], config: AssociationConfig
 ) -> list[list[ObjectInstance]]:
     """Group the objects of one epoch that are large enough into bodies that stand side by side."""
-    total = sum(len(t.voxels) for t in objects)
-    large = [t for t in objects if len(t.voxels) >= config.apart * total]
+    largest = max((len(t.voxels) for t in objects), default=0)
+    large = [t for t in objects if len(t.voxels) >= config.apart * largest]
     if len(large) < 2:
         return [list(large)]
     columns = [np.unique(column_keys(t.voxels.xyz, _CELL)) for t in large]
@@ -222,7 +222,7 @@ def split_at_walls(
     labels, house = changed_houses(*voxels)
     houses = np.split(house > 0, [len(voxels[0])])
     for side, other, of_house in zip(sides, voxels[::-1], houses, strict=True):
-        bodies = [body for body in separate_bodies(side, config) if body]
+        bodies = [b for b in separate_bodies(side, config) if b and height_of(b) >= _ROOM]
         bodies = [body for body in bodies if not _is_wing(body, side, other, of_house)] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
         places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
@@ -264,7 +264,7 @@ def _pieces(
     """
     labels = np.unique(labels, return_inverse=True)[1]
     size, moved = np.bincount(labels), np.bincount(labels, changed) > 0
-    large = np.where(moved, size >= config.parts.points, size >= config.apart * len(xy))
+    large = np.where(moved, size >= config.parts.points, size >= config.apart * size.max())
     if np.count_nonzero(large) < 2:
         return [sides]
     kept = large[labels]

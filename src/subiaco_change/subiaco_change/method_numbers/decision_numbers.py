@@ -601,7 +601,8 @@ class RulesNumbers(StrictModel):
     opposed_height: float = Field(
         0.5,
         description="Fraction of the limit on a change of height from which the height opposes the sign that "
-        "new or lost surfaces of a building tell",
+        "new or lost surfaces of a building tell, and of the limit on a change of volume from which the "
+        "volume opposes the sign of the height",
     )
     least_half_width: float = Field(
         0.05,

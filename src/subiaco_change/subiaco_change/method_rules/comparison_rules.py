@@ -581,8 +581,13 @@ BUILDING_RULES: tuple[Rule, ...] = (
     Rule(
         "volume_supports_height",
         _HERE,
-        "A change of height of a building needs volume, or new or former walls, that carry the change.",
-        ("decisions.building.height_volume", "decisions.building.height_surface"),
+        "A change of height of a building needs volume, or new or former walls, that carry the change, and a"
+        " change of volume whose middle is not the opposite.",
+        (
+            "decisions.building.height_volume",
+            "decisions.building.height_surface",
+            "method_numbers.rules.opposed_height",
+        ),
     ),
     Rule(
         "surface_of_both_epochs",

@@ -68,7 +68,7 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         "trails_by_counts",
         _HERE,
         "In a map with counts of beams and without their times, a place that many beams passed for each that"
-        " returned was occupied by a moving object, unless it is the edge of a standing one.",
+        " returned was occupied by a moving object, unless it is the edge of a standing one, or of a tree.",
         (
             "semantics.traffic.ratio",
             "semantics.traffic.spread_ratio",

@@ -25,6 +25,7 @@ from subiaco_change.segmentation.features import Features
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, TrailShapeConfig, rasterise
 from subiaco_change.segmentation.trail_swaths import SURE, find_swaths, thin_trails, with_edges, with_pieces
+from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -109,7 +110,8 @@ def moving_points(
     """Tell which free points (N,) belong to trails.
 
     Most beams also cross the voxels at the edge of a roof without a return, but other points of the roof lie
-    beside them. A trail keeps a distance from standing objects; only a long one may pass close to them.
+    beside them. A trail keeps a distance from standing objects; only a long one may pass close to them. What
+    goes on above the height of vehicles is a tree.
 
     Parameters
     ----------
@@ -126,11 +128,13 @@ def moving_points(
     low = free & (height > config.bottom) & (height < config.top)
     members = np.flatnonzero(low)
     mean = _local_mean(np.log(np.maximum(passed, 0.1)), low, features, members, config.reach)
-    open_ = members[mean > np.log(config.spread_ratio)]
+    often = mean > np.log(config.spread_ratio)
+    often[often] = ~_beside_crowns(xyz, height, members[often], free, config)
+    open_ = members[often]
     moving = np.zeros(len(xyz), dtype=bool)
     if len(open_) == 0:
         return moving
-    sure = (mean > np.log(config.ratio))[mean > np.log(config.spread_ratio)]
+    sure = (mean > np.log(config.ratio))[often]
     trail = voxel_clusters(xyz[open_], config.touch)
     standing = free & (height > config.bottom)
     standing[open_] = False
@@ -141,6 +145,18 @@ def moving_points(
     kept = (sure_share > config.core_share) & ~is_edge
     moving[open_[kept[trail]]] = True
     return moving
+
+
+def _beside_crowns(xyz: Floats, height: Floats, members: Ints, free: Mask, config: TrafficConfig) -> Mask:
+    """Tell which of some points (M,) lie in or beside columns that go on above the height of vehicles.
+
+    Of the thin lower part of a crown most beams meet nothing, as they do where a vehicle was for a moment.
+    """
+    step = 2 * config.touch
+    column = voxel_keys(voxel_indices(xyz * (1.0, 1.0, 0.0), config.touch))
+    over, under = (free & (height >= low) & (height < low + step) for low in (config.top, config.top - step))
+    crown = over & np.isin(column, column[under])
+    return lies_near(xyz[members, :2], xyz[crown, :2], step)
 
 
 @switchable("still_blocks", none_of_them)
