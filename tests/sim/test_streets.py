@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from dataclasses import replace
 
@@ -146,17 +145,6 @@ def test_a_mover_hides_what_stands_behind_it_and_is_gone_a_little_later(survey: 
 
     assert seen(3.0) == mover.object_id
     assert seen(6.0) == 1
-
-
-def test_where_no_ray_is_cast_nothing_is_met_and_no_warning_given(survey: Survey) -> None:
-    scene = survey.scene
-    mover = scene.moving[0]
-    wall = compile_meshes([(1, box(200.0, 200.0, 0.1, Material.BRICK).placed(0, 0, -40.0))])
-    x, y, _ = mover.at(scene.route, 3.0)
-    now = freeze(wall, [mover], scene.terrain_at("before"), scene.route, 3.0, np.array([x, y, 30.0]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert len(now.cast(np.zeros((0, 3)), np.zeros((0, 3))).object_id) == 0
 
 
 def test_what_moves_is_mobile_and_not_reported(survey: Survey) -> None:

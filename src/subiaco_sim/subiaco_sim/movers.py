@@ -68,8 +68,6 @@ class MovingScene:
 
     def _might_meet(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
         """Tell which rays may pass through the ball about a mover; all begin near one another."""
-        if len(origins) == 0:
-            return np.zeros(0, dtype=np.bool_)
         eye = origins.mean(axis=0)
         slack = np.linalg.norm(origins - eye, axis=1).max(initial=0.0) + 0.01
         ahead = directions.astype(np.float32)
