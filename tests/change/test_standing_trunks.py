@@ -70,6 +70,13 @@ def test_a_tree_beside_something_else_that_stands_in_both_epochs_was_felled(left
     assert not {Change.DECREASED.name, Change.INCREASED.name} & set(labels(changes))
 
 
+def test_a_tree_beside_a_pole_whose_foot_is_an_object_of_its_own_was_felled():
+    pole = trunk(1.5), (Semantic.OTHER, (1.85, 1.85, 1.8), (0.3, 0.3, 7.0))
+    changes = compared(survey(7, crown(2.0, 6.0), *pole), survey(8, *pole))
+    assert Change.REMOVED.name in labels(changes)
+    assert not {Change.DECREASED.name, Change.INCREASED.name} & set(labels(changes))
+
+
 @pytest.mark.parametrize("swapped", [False, True])
 def test_a_palm_whose_crown_rose_above_its_old_crown_is_one_plant(swapped):
     low = survey(5, crown(3.0, 4.0), trunk(3.0))

@@ -8,6 +8,7 @@ import numpy as np
 
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.rules import Decision
+from subiaco_change.geometry import lies_near
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.objects.voxel_objects import height_of, join_voxels
@@ -44,7 +45,7 @@ def join_standing_trunks(changes: list[ObjectChange], rules: ObjectRules) -> lis
     gone: set[int] = set()
     for trunk, members in crowns.items():
         one_epoch = len({bool(changes[k].before) for k in members}) == 1
-        found = [k for k in members if not one_epoch or _stands_below(changes[trunk], changes[k])]
+        found = [k for k in members if not one_epoch or _stands_below(changes[trunk], changes[k], rules)]
         joined = _joined(changes[trunk], [changes[k] for k in found], rules)
         if joined is not None:
             told[trunk] = joined
@@ -63,10 +64,19 @@ def _is_trunk(change: ObjectChange) -> bool:
     return foot <= _FOOT and min(_width(v.xyz) for v in voxels) <= _WIDE
 
 
-def _stands_below(trunk: ObjectChange, tree: ObjectChange) -> bool:
+def _stands_below(trunk: ObjectChange, tree: ObjectChange, rules: ObjectRules) -> bool:
     """Tell whether the epoch without a tree has a trunk that ends well below the top of the tree."""
-    left = trunk.after if tree.before else trunk.before
-    return bool(left) and _LEAST <= height_of(left) <= height_of((*tree.before, *tree.after)) - _CROWN
+    left, space = (trunk.after, rules.spaces[1]) if tree.before else (trunk.before, rules.spaces[0])
+    if not left or not _LEAST <= height_of(left) <= height_of((*tree.before, *tree.after)) - _CROWN:
+        return False
+    return not _goes_on(np.concatenate([t.xyz for t in left]), space.standing)
+
+
+def _goes_on(xyz: Floats, standing: Floats) -> bool:
+    """Tell whether what stands in an epoch (M, 3) goes on right above places (N, 3): they are of a pole."""
+    above = standing[:, 2] - xyz[:, 2].max()
+    next_above = standing[(above > 0.0) & (above <= 0.5 * _CROWN)]
+    return bool(lies_near(xyz[:, :2].mean(axis=0)[None], next_above[:, :2], 0.5 * _WIDE)[0])
 
 
 def _circle(change: ObjectChange) -> tuple[Floats, float]:
