@@ -123,6 +123,34 @@ def timed(moved: float, count: int = 60) -> ObjectInstance:
     return replace(obj, points=points, xyz=np.zeros((count, 3)), moved=np.full(count, moved))
 
 
+def sides(width: float, moved: float, semantic: Semantic) -> ObjectInstance:
+    """Two walls of 6 m, so far apart from each other, and a third one between their ends."""
+    xyz = np.concatenate(
+        [block((0, y, 0), (6, y + 0.25, 2.5)) for y in (0.0, width)] + [block((0, 0, 0), (0.25, width, 2.5))]
+    )
+    known = obj([(xyz, False)])
+    return replace(known, semantic=semantic, moved=np.full(len(known.points), moved))
+
+
+@pytest.mark.parametrize(
+    ("width", "moved", "semantic", "stood"),
+    [
+        (3.5, 0.5, Semantic.BUILDING, True),
+        (2.0, 0.5, Semantic.BUILDING, False),
+        (3.5, 0.6, Semantic.BUILDING, False),
+        (3.5, 0.5, Semantic.VEGETATION, False),
+    ],
+    ids=["a shed", "as narrow as a lorry", "seen to move", "leaves"],
+)
+def test_walls_wider_apart_than_a_vehicle_stood_where_the_times_tell_nothing(width, moved, semantic, stood):
+    decision = decide_moving_object_trail([sides(width, moved, semantic)], semantic, None, RULES)
+    assert (decision is None) == stood
+    with rules_switched_off(("wider_than_vehicles",)):
+        decision = decide_moving_object_trail([sides(width, moved, semantic)], semantic, None, RULES)
+    assert decision is not None
+    assert decision.change is Change.UNOBSERVED
+
+
 def test_a_verdict_by_times_takes_the_place_of_counts() -> None:
     looked_through = replace(timed(0.0), passed=np.full(60, 500.0))
     assert decide_moving_object_trail([looked_through], Semantic.VEGETATION, None, RULES) is None

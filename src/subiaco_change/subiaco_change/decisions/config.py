@@ -259,6 +259,12 @@ class DecisionConfig(StrictModel):
         description="Fraction of the voxels of an object above `vehicle_top` from which the object is no "
         "vehicle",
     )
+    vehicle_width: float = Field(
+        3.0,
+        gt=0,
+        description="Width that no road vehicle exceeds, mirrors included [m]; walls farther apart did not "
+        "move where the times of beams tell nothing",
+    )
     trail_high: float = Field(
         2.6,
         gt=0,

@@ -17,6 +17,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, applies, no_decision, switchable
+from subiaco_change.objects.measures import footprint_sides
 from subiaco_change.objects.voxel_objects import (
     EpochView,
     ObjectInstance,
@@ -109,7 +110,7 @@ def _by_probability(
         )
         reason += f" {rules.trail_moved:.0%}: the ghost trail of a moving object."
         return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
-    uncertain = upper_moving_probability(objects)
+    uncertain = _chance_of_moving(objects, rules)
     doubt = 1.0 - joint_probability(uncertain, free)
     if doubt < rules.trail_uncertain:
         return None
@@ -134,6 +135,20 @@ def fits_a_vehicle(objects: Sequence[ObjectInstance], rules: DecisionConfig) -> 
     """
     heights = np.concatenate([t.voxels.height for t in objects])
     return float(np.mean(heights > rules.vehicle_top)) < rules.vehicle_above
+
+
+def _chance_of_moving(objects: Sequence[ObjectInstance], rules: DecisionConfig) -> float:
+    """Return the probability that objects moved; 0 where they are larger than vehicles.
+
+    Where the times of beams tell nothing, as of what was met for a moment in a yard behind the houses, walls
+    farther apart than the sides of a vehicle did not move.
+    """
+    if not fits_a_vehicle(objects, rules):
+        return 0.0
+    moved = upper_moving_probability(objects)
+    stood = moved <= rules.trail_uncertain and all(t.semantic is Semantic.BUILDING for t in objects)
+    wide = stood and footprint_sides(join_voxels(objects).xyz)[0] > rules.vehicle_width
+    return 0.0 if applies("wider_than_vehicles", wide) else moved
 
 
 def upper_moving_probability(objects: Sequence[ObjectInstance]) -> float:
@@ -169,7 +184,7 @@ def limit_confidence(
     """
     if decision.change not in ONE_EPOCH or mean_moving_probability(objects) is None:
         return confidence, decision.reason
-    moved = upper_moving_probability(objects) if fits_a_vehicle(objects, rules) else 0.0
+    moved = _chance_of_moving(objects, rules)
     together = joint_probability(moved, free)
     if together >= confidence or moved <= 0.0:
         return confidence, decision.reason

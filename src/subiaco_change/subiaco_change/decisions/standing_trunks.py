@@ -73,7 +73,7 @@ def _stands_below(trunk: ObjectChange, tree: ObjectChange, rules: ObjectRules) -
 
 
 def _goes_on(xyz: Floats, standing: Floats) -> bool:
-    """Tell whether what stands in an epoch (M, 3) goes on right above places (N, 3): they are of a pole."""
+    """Tell whether points of an epoch (M, 3) follow right above places (N, 3): the foot of a pole."""
     above = standing[:, 2] - xyz[:, 2].max()
     next_above = standing[(above > 0.0) & (above <= 0.5 * _CROWN)]
     return bool(lies_near(xyz[:, :2].mean(axis=0)[None], next_above[:, :2], 0.5 * _WIDE)[0])

@@ -208,6 +208,12 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "wider_than_vehicles",
+        _HERE,
+        "Where the times of beams tell nothing, walls farther apart than the sides of a vehicle stood still.",
+        ("decisions.vehicle_width",),
+    ),
+    Rule(
         "claim_in_driven_lane",
         _HERE,
         "What one epoch alone holds in the lane that a survey vehicle drove through is seldom a lasting"
