@@ -256,24 +256,6 @@ def test_eaves_over_an_open_gap_join_no_garage_to_the_house(gap, wing):
     assert bool(found) == wing
 
 
-def test_a_wall_that_ends_a_step_before_the_corner_of_its_house_leaves_no_gap_between_two_houses():
-    """A house lost a side: its wall ends 0.9 m before the front, and the survey saw past both."""
-    front, roof = block((0.0, 0.0, 0.0), (10.0, 0.25, 5.0)), block((0.0, 0.25, 4.75), (8.0, 8.0, 5.0))
-    side, eaves = block((9.75, 1.1, 0.0), (10.0, 8.0, 5.0)), block((8.0, 1.1, 4.75), (9.75, 8.0, 5.0))
-    made = [
-        replace(voxels(xyz), normal=np.tile(normal, (len(xyz), 1)))
-        for xyz, normal in (
-            (front, [0.0, 1.0, 0.0]),
-            (roof, [0.0, 0.0, 1.0]),
-            (side, [1.0, 0.0, 0.0]),
-            (eaves, [0.0, 0.0, 1.0]),
-        )
-    ]
-    house, lost = made[0].add(made[1]), made[2].add(made[3])
-    seen = OpenGround(NO_COLUMNS, NO_COLUMNS, (lambda p: (p[:, 1] > 0.25) & (p[:, 1] < 1.1),) * 2)
-    assert find_building_extensions([(house, house), (lost, NONE)], CONFIG, seen) == {1: 0}
-
-
 @pytest.mark.parametrize(("side", "height", "wing"), [(3, 3.0, True), (8, 4.5, False)], ids=["wing", "house"])
 def test_a_house_that_a_carport_links_to_its_neighbour_was_no_wing_of_it(side, height, wing):
     """A wing of a wing is smaller than the wing."""

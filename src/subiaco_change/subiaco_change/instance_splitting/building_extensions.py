@@ -14,7 +14,7 @@ from subiaco_change.association.config import PartConfig
 from subiaco_change.geometry import in_box_around, in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, never, switchable
-from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround, column_keys
+from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
 from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.space_carving import are_level
@@ -93,9 +93,8 @@ def _stands_apart(
     """Tell a house beside another one from a wing.
 
     Nothing of a house but a fence lies at the walls of its neighbour, and the epoch that holds both saw the
-    gap open. Their eaves may meet above it. A gap is longer than it is wide: where the wall of a part ends
-    near the corner of a house, a survey sees past both. Nor does a house hang on another one by something
-    smaller than itself between them.
+    gap open. Their eaves may meet above it. Nor does a house hang on another one by something smaller than
+    itself between them.
     """
     epoch = 0 if len(pairs[number][0]) else 1
     extension, body = pairs[number][epoch], pairs[host][epoch]
@@ -109,9 +108,6 @@ def _stands_apart(
         links = [pairs[e][epoch] for e, h in taken.items() if h == host and len(pairs[e][epoch])]
         return sum(map(_enclosed_volume, links)) < _enclosed_volume(extension)
     if (part.height[distance < _JOINT] > _FENCE).any() or extension.height.min() > _FOOT:
-        return False
-    length = ground.cell * len(np.unique(column_keys(part.xyz[near], ground.cell)))
-    if length <= config.touch:
         return False
     middle = 0.5 * (part.xyz[near, :2] + side.xyz[nearest[near], :2])
     open_ = ground.bare(epoch)(middle)
