@@ -57,6 +57,11 @@ def labels(heights, groups, matches):
         decide_object([before[i] for i in b], [after[j] for j in a], Semantic.BUILDING, RULES)
         for b, a in matches
     ]
+    return by_place(changes)
+
+
+def by_place(changes):
+    """Labels of every place of a row, once its houses are parted."""
     found = {}
     for change in split_row_houses(changes, RULES):
         xyz = np.concatenate([t.xyz for t in (*change.before, *change.after)])
@@ -173,11 +178,7 @@ def test_a_house_at_the_end_of_a_row_that_the_other_epoch_did_not_see_does_not_h
     hidden = replace(before[1].voxels, observed=unseen, free_space_confirmed=unseen)
     before[1] = replace(before[1], voxels=hidden)
     whole = decide_object(before, after, Semantic.BUILDING, RULES)
-    found = {}
-    for change in split_row_houses([whole], RULES):
-        x = np.concatenate([t.xyz[:, 0] for t in (*change.before, *change.after)])
-        for place in np.unique(np.floor(x / WIDTH).astype(int)).tolist():
-            found.setdefault(place, set()).add(change.decision.change)
+    found = by_place([whole])
     assert found[1] == GONE
     assert found[0] == found[2] == SAME
     assert not found[3] & {Change.REMOVED, Change.DECREASED}

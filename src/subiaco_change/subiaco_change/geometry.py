@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_geo.clouds import PointCloud, extent_of, sort_spatially, voxel_downsample, within_box
+from subiaco_geo.clouds import (
+    PointCloud,
+    extent_of,
+    sort_spatially,
+    voxel_downsample,
+    voxel_indices,
+    voxel_keys,
+    within_box,
+)
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
@@ -31,6 +39,11 @@ def in_outline_of(points: Floats, places: Floats, margin: float = 0.0) -> NDArra
     outline = shapely.MultiPoint(points).convex_hull
     outline = outline.buffer(margin) if margin else outline
     return np.asarray(shapely.contains_xy(outline, places[:, 0], places[:, 1]))
+
+
+def column_keys(xyz: Floats, cell: float) -> Ints:
+    """Return the key (N,) of the column that every point (N, 3) stands in."""
+    return voxel_keys(voxel_indices(xyz * (1.0, 1.0, 0.0), cell))
 
 
 def outline_of_cells(cells: Ints, corner: Floats, edge: float) -> BaseGeometry:

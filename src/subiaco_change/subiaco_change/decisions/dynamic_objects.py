@@ -138,13 +138,11 @@ def fits_a_vehicle(objects: Sequence[ObjectInstance], rules: DecisionConfig) -> 
 
 
 def _chance_of_moving(objects: Sequence[ObjectInstance], rules: DecisionConfig) -> float:
-    """Return the probability that objects moved; 0 where they are larger than vehicles.
+    """Return the probability that objects moved that are no higher than vehicles.
 
     Where the times of beams tell nothing, as of what was met for a moment in a yard behind the houses, walls
     farther apart than the sides of a vehicle did not move.
     """
-    if not fits_a_vehicle(objects, rules):
-        return 0.0
     moved = upper_moving_probability(objects)
     stood = moved <= rules.trail_uncertain and all(t.semantic is Semantic.BUILDING for t in objects)
     wide = stood and footprint_sides(join_voxels(objects).xyz)[0] > rules.vehicle_width
@@ -184,7 +182,7 @@ def limit_confidence(
     """
     if decision.change not in ONE_EPOCH or mean_moving_probability(objects) is None:
         return confidence, decision.reason
-    moved = _chance_of_moving(objects, rules)
+    moved = _chance_of_moving(objects, rules) if fits_a_vehicle(objects, rules) else 0.0
     together = joint_probability(moved, free)
     if together >= confidence or moved <= 0.0:
         return confidence, decision.reason

@@ -8,9 +8,9 @@ import numpy as np
 
 from subiaco_change.decisions.object_decision import ObjectChange
 from subiaco_change.decisions.split_merge import join_rows
+from subiaco_change.geometry import column_keys
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
-from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.voxel_objects import Voxels, join_voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_geo.codes import Semantic

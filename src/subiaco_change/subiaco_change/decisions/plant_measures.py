@@ -17,10 +17,9 @@ from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
-from subiaco_change.geometry import in_box_around
+from subiaco_change.geometry import column_keys, in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
-from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.known_space import ALL_FREE, KnownSpace, KnownSpaces
 from subiaco_change.objects.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.objects.plant_tops import TopChange, TopConfig, change_of_tops

@@ -306,7 +306,7 @@ def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
     A piece that has no partner, and is not seen to be new or gone, is no house: it joins the piece nearest to
     it. So does one that hardly overlaps its partner; a fence on its plot is no partner.
     """
-    if not any(b and a for b, a in pieces):
+    if len(pieces) == 1 or not any(b and a for b, a in pieces):
         return []
     houses = [(piece, _as_house(piece, rules)) for piece in pieces]
     while len(houses) > 1:

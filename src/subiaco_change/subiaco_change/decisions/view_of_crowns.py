@@ -12,10 +12,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from subiaco_change.geometry import in_box_around
+from subiaco_change.geometry import column_keys, in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
-from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.known_space import Empty, KnownSpaces
 from subiaco_change.objects.plant_tops import expected_top
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import AssociationConfig, PartConfig
+from subiaco_change.geometry import column_keys
 from subiaco_change.instance_splitting.changed_houses import changed_houses
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, height_of, join_voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters

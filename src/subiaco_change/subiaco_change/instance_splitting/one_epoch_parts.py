@@ -9,10 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.config import PartConfig
-from subiaco_change.geometry import in_outline_of
+from subiaco_change.geometry import column_keys, in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
-from subiaco_change.objects.column_volumes import column_keys
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from subiaco_change.geometry import column_keys
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.clouds import unique_keys, voxel_indices, voxel_keys
+from subiaco_geo.clouds import unique_keys
 from subiaco_geo.frames import Floats, Ints
 
 _ALONE = NUMBERS.column_volumes.one_epoch_share
@@ -65,11 +66,6 @@ class Volumes:
 def ground_columns(xyz: Floats, cell: float) -> Ints:
     """Return the sorted keys of the columns of ground points (N, 3)."""
     return unique_keys(column_keys(xyz, cell))
-
-
-def column_keys(xyz: Floats, cell: float) -> Ints:
-    """Return the key (N,) of the column that every point (N, 3) stands in."""
-    return voxel_keys(voxel_indices(xyz * (1.0, 1.0, 0.0), cell))
 
 
 def tops_of_columns(index: Ints, height: Floats, shape: tuple[int, ...]) -> Floats:

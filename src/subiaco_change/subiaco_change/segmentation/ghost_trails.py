@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from subiaco_change.geometry import lies_near
+from subiaco_change.geometry import column_keys, lies_near
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable, zeros_of_them
 from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
@@ -25,7 +25,6 @@ from subiaco_change.segmentation.features import Features
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, TrailShapeConfig, rasterise
 from subiaco_change.segmentation.trail_swaths import SURE, find_swaths, thin_trails, with_edges, with_pieces
-from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -153,9 +152,9 @@ def _beside_crowns(xyz: Floats, height: Floats, members: Ints, free: Mask, confi
     Of the thin lower part of a crown most beams meet nothing, as they do where a vehicle was for a moment.
     """
     step = 2 * config.touch
-    column = voxel_keys(voxel_indices(xyz * (1.0, 1.0, 0.0), config.touch))
-    over, under = (free & (height >= low) & (height < low + step) for low in (config.top, config.top - step))
-    crown = over & np.isin(column, column[under])
+    around = np.flatnonzero(free & (height >= config.top - step) & (height < config.top + step))
+    column, over = column_keys(xyz[around], config.touch), height[around] >= config.top
+    crown = around[over & np.isin(column, column[~over])]
     return lies_near(xyz[members, :2], xyz[crown, :2], step)
 
 
