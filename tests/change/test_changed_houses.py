@@ -124,6 +124,39 @@ def test_a_house_of_which_hardly_anything_was_seen_to_rise_in_its_middle_is_one_
     assert changed(*(before, after)[::sign], shown) == []
 
 
+def detached(tall, storey):
+    """A house with a verandah: facade, one side, and what of a set-back ``storey`` [m] stands on it."""
+
+    def facing(voxels, normal):
+        return replace(voxels, normal=np.tile(normal, (len(voxels), 1)))
+
+    front, side = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)
+    verandah = surfaces(sheet((0, -2.5, 2.5), (12, 0, 3)))
+    facade = facing(surfaces(sheet((0, 0, 0), (12, CELL, tall))), front)
+    wall = facing(surfaces(sheet((0, CELL, 0), (CELL, 10, tall))), side)
+    parts = [verandah, facade, wall]
+    if storey:
+        kinds = {"occupied_in_other": False}
+        set_back = sheet((CELL, 2, tall), (12, 2 + CELL, tall + storey))
+        parts.append(facing(surfaces(set_back, **kinds), front))
+        parts.append(facing(surfaces(sheet((0, 2, tall), (CELL, 10, tall + storey)), **kinds), side))
+    return sum_of(parts)
+
+
+def sum_of(parts):
+    first, *rest = parts
+    for part in rest:
+        first = first.add(part)
+    return first
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["built", "taken off"])
+def test_the_facade_of_a_house_that_was_built_upon_behind_it_is_no_house_beside_it(sign):
+    """Seen from its side, a facade with its verandah is as deep as a house of a row is wide."""
+    pair = (detached(4.0, 0.0), detached(4.0, 2.5))[::sign]
+    assert not changed_houses(*pair)[1].any()
+
+
 def fronts(tops, other):
     """Voxels of a row of tall houses: of fronts the ``other`` epoch saw free what exceeds its own tops.
 

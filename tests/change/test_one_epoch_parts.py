@@ -171,6 +171,18 @@ def test_a_house_is_as_large_as_the_survey_that_saw_more_of_it_shows(taken_away)
     assert find_building_extensions(small, CONFIG) == {}
 
 
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+@pytest.mark.parametrize(("begins", "x", "wing"), [(5.0, 3.5, True), (0.0, 3.5, False), (5.0, 12.0, False)])
+def test_a_storey_set_back_from_all_walls_is_of_the_house_whose_roof_nobody_saw(begins, x, wing, taken_away):
+    """It begins above a room and over the house; walls on the ground, or beside the house, are none."""
+    storey = np.add(walls(3, 3, 2.5), (x, 2.5, begins))
+    pair = (voxels(storey), NONE) if taken_away else (NONE, voxels(storey))
+    found = find_building_extensions([(voxels(HOUSE), voxels(HOUSE)), pair], CONFIG)
+    assert (found == {1: 0}) == wing
+    with rules_switched_off(["storeys_set_back"]):
+        assert find_building_extensions([(voxels(HOUSE), voxels(HOUSE)), pair], CONFIG) == {}
+
+
 def test_what_is_lower_than_a_room_is_no_wing():
     house, body = (voxels(HOUSE), voxels(HOUSE)), walls(3, 3, 2.2)
     assert find_building_extensions([house, (NONE, moved(body, 10))], CONFIG) == {}

@@ -19,6 +19,7 @@ from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.space_carving import are_level
 from subiaco_change.objects.voxel_objects import Voxels
+from subiaco_change.quantiles import quantile_of
 from subiaco_geo.frames import Floats
 
 _ROUND = NUMBERS.building_extensions.enclosing_share
@@ -43,6 +44,9 @@ _THICK = NUMBERS.building_extensions.roof_band
 _ROOF = NUMBERS.building_extensions.roof_share
 _BARE = NUMBERS.building_extensions.bare_share
 _LAYER = NUMBERS.layers.share
+_BEGINS = NUMBERS.roof_structures.foot_quantile
+_LOWEST = NUMBERS.roof_structures.lowest
+_OVER = NUMBERS.roof_structures.share
 
 
 def find_building_extensions(
@@ -62,7 +66,7 @@ def find_building_extensions(
     Returns
     -------
     dict
-        An extension is as high as a room and touches its host; it is smaller than
+        An extension is as high as a room and touches its host, or stands on it; it is smaller than
         ``subordinate`` of it, or stands round it. A house with an open gap beside it is no
         extension.
     """
@@ -137,8 +141,10 @@ def _touching_extensions(
             continue
         extension = pair[epoch].xyz
         bodies = [pairs[i][epoch] for i in hosts]  # a wall between two lots makes no extension of a house
-        gaps = [gaps_to_host(extension, v.xyz[v.height > _FENCE], config.touch) for v in bodies]
-        gaps = [g[:0] if len(g) and apart(number, i) else g for g, i in zip(gaps, hosts, strict=True)]
+        gaps = [_storey_on(pair[epoch], v) for v in bodies]
+        if not any(len(g) for g in gaps):
+            gaps = [gaps_to_host(extension, v.xyz[v.height > _FENCE], config.touch) for v in bodies]
+            gaps = [g[:0] if len(g) and apart(number, i) else g for g, i in zip(gaps, hosts, strict=True)]
         if not any(len(g) for g in gaps):
             continue
         keys = [remoteness(g) for g in gaps]
@@ -236,6 +242,23 @@ def _is_open_roof(extension: Voxels, bare: Empty) -> bool:
 def _share_above(extension: Voxels, host: Voxels) -> float:
     """Share of an extension above or within the outline of its host."""
     return float(in_outline_of(host.xyz[:, :2], extension.xyz[:, :2]).mean())
+
+
+def _no_gaps(*_: object) -> Floats:
+    """Return no gaps."""
+    return np.zeros(0)
+
+
+@switchable("storeys_set_back", _no_gaps)
+def _storey_on(extension: Voxels, host: Voxels) -> Floats:
+    """Return a gap of 0 m for every place (M,) of a storey that stands on a host, none for what does not.
+
+    It begins above a room and lies over the host, of which the street may show no roof.
+    """
+    if quantile_of(extension.height, _BEGINS) < _LOWEST:
+        return np.zeros(0)
+    over = in_outline_of(host.xyz[host.height > _FENCE, :2], extension.xyz[:, :2])
+    return np.zeros(np.count_nonzero(over) if over.mean() >= _OVER else 0)
 
 
 def gaps_to_host(extension: Floats, host: Floats, touch: float) -> Floats:

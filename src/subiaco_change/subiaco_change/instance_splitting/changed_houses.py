@@ -91,14 +91,16 @@ class _Stretch:
 class _Profile:
     """What one epoch has in every slot along a row, of what is as tall as a house.
 
-    ``alone`` (S,): share of its voxels whose place the other epoch observed and found empty, and ``above``
-    (S,) in whose column the other epoch has something, both less what the quiet slots of the row show;
+    ``front`` (S,): whether a wall that faces across the row stands there; ``alone`` (S,): share of its voxels
+    whose place the other epoch observed and found empty, and ``above`` (S,) in whose column the other epoch
+    has something, both less what the quiet slots of the row show;
     ``known`` (S,): whether the other epoch observed any of them; ``foot`` (S,): the share of what is lower
     than a room, NaN where nothing is known; ``tops`` (S, T) of its columns [m], 0 for none; ``step`` (S,),
     how far it rises over what the other epoch has in a column [m]; ``confirmed`` (S,): number of its voxels
     whose place the other epoch saw free on both sides.
     """
 
+    front: Mask
     alone: Floats
     above: Floats
     known: Mask
@@ -159,7 +161,10 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     house = np.zeros(len(xyz), dtype=np.int64)
     own = [slots[epoch == e] for e in (0, 1)]
     built = [[_sharing_layers(v, along) for v in sides] for along in axes.T]
-    profiles = [_profiles(built[0], own), _profiles(built[1], [side[:, ::-1] for side in own])]
+    profiles = [
+        _profiles(built[0], own, axes[:, 0]),
+        _profiles(built[1], [side[:, ::-1] for side in own], axes[:, 1]),
+    ]
     axis, found = _along_row(profiles)
     if not found:
         axis = int(np.argmax(slots.max(axis=0)))
@@ -225,18 +230,20 @@ def _within(slot: Ints, begin: int, end: int) -> Mask:
     return (slot >= begin) & (slot < end)
 
 
-def _profiles(sides: Sequence[Voxels], slots: Sequence[Ints]) -> list[_Profile]:
-    """Measure both epochs in slots (N, 2) along and across a row."""
+def _profiles(sides: Sequence[Voxels], slots: Sequence[Ints], along: Floats) -> list[_Profile]:
+    """Measure both epochs in slots (N, 2) along and across a row of a direction (2,)."""
     shape = tuple((np.concatenate(slots).max(axis=0) + 1).tolist())
     talls = [voxels.height >= _ROOM for voxels in sides]
     tops = [
         tops_of_columns(own[tall], voxels.height[tall], shape)
         for voxels, own, tall in zip(sides, slots, talls, strict=True)
     ]
-    return [_profile(*side) for side in zip(sides, slots, talls, tops, tops[::-1], strict=True)]
+    return [_profile(*side, along) for side in zip(sides, slots, talls, tops, tops[::-1], strict=True)]
 
 
-def _profile(voxels: Voxels, slots: Ints, tall: Mask, tops: Floats, others: Floats) -> _Profile:
+def _profile(
+    voxels: Voxels, slots: Ints, tall: Mask, tops: Floats, others: Floats, along: Floats
+) -> _Profile:
     """Measure one epoch, with its tops and those of the other (S, T); single slots are smoothed away."""
     count, place = len(tops), slots[:, 0]
     low, alone = ~tall & (voxels.height >= _FOOT), voxels.observed_unoccupied
@@ -252,7 +259,25 @@ def _profile(voxels: Voxels, slots: Ints, tall: Mask, tops: Floats, others: Floa
     rises = tops_of_columns(slots[new], voxels.height[new], tops.shape) - others
     step = np.where(others > 0, rises, 0.0).max(axis=1)
     confirmed = np.bincount(place[new & voxels.free_space_confirmed], minlength=count)
-    return _Profile(alone_share, above_share, known > 0, foot, tops, np.maximum(step, 0.0), confirmed)
+    front = _faces_row(voxels, place, along, count)
+    return _Profile(
+        _smoothed(front), alone_share, above_share, known > 0, foot, tops, np.maximum(step, 0.0), confirmed
+    )
+
+
+def _faces_row(voxels: Voxels, slots: Ints, along: Floats, count: int) -> Mask:
+    """Tell in which slots (S,) of a row of a direction (2,) a wall stands that faces across the row.
+
+    Fewer of its voxels face along the row, as the front of a house does that is seen from its side. The
+    edge of a roof on posts is no wall.
+    """
+    walls = (voxels.height >= _FOOT) & (np.abs(voxels.normal[:, 2]) < _ACROSS)
+    across = np.abs(voxels.normal[:, :2] @ along) < _ACROSS
+    high, low = np.zeros(count), np.full(count, np.inf)
+    np.maximum.at(high, slots[walls & across], voxels.height[walls & across])
+    np.minimum.at(low, slots[walls & across], voxels.height[walls & across])
+    facing, turned = (np.bincount(slots[walls & part], minlength=count) for part in (across, ~across))
+    return np.asarray((facing >= turned) & (high - low >= _ROOM / 2))
 
 
 def _sharing_layers(voxels: Voxels, along: Floats) -> Voxels:
@@ -289,7 +314,9 @@ def _less_quiet(share: Floats) -> Floats:
 def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     """Find the changed houses of a row: each begins or ends beside one that did not change.
 
-    Where a part of a stretch is no house of the row, none of it is. A house was reshaped where it rose or
+    Where a part of a stretch is no house of the row, none of it is. Where walls were seen, a house that did
+    not change has one that faces across the row: the facade of a house that was built upon behind it is no
+    house beside it, nor is its veranda. A house was reshaped where it rose or
     fell: anything beside it in one epoch alone is a wing. Where a stretch has no such house, its neighbours
     in the row may have changed too: then a tall building of one epoch alone may begin or end beside a house
     that was reshaped.
@@ -297,6 +324,8 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     kind = _kinds(sides)
     rise = np.maximum(sides[0].step, sides[1].step)
     same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known) & (_smoothed(rise) <= _SAME)
+    front = sides[0].front | sides[1].front
+    same &= front | ~front.any()
     gone = np.isin(kind, _ONLY + _BUT_FOOT)
     step = np.where(gone, np.inf, rise)
     built = (sides[0].top > 0) & (sides[1].top > 0) & ~gone & (kind != _PARTLY)

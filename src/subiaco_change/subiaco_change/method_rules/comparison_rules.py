@@ -510,6 +510,13 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "storeys_set_back",
+        _HERE,
+        "A building that begins above a room and lies over another one is a storey of it, set back from its"
+        " walls.",
+        ("method_numbers.roof_structures.lowest", "method_numbers.roof_structures.share"),
+    ),
+    Rule(
         "part_between_buildings",
         _HERE,
         "A part that touches a second building too is no extension of either.",
