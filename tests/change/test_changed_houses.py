@@ -140,14 +140,7 @@ def detached(tall, storey):
         set_back = sheet((CELL, 2, tall), (12, 2 + CELL, tall + storey))
         parts.append(facing(surfaces(set_back, **kinds), front))
         parts.append(facing(surfaces(sheet((0, 2, tall), (CELL, 10, tall + storey)), **kinds), side))
-    return sum_of(parts)
-
-
-def sum_of(parts):
-    first, *rest = parts
-    for part in rest:
-        first = first.add(part)
-    return first
+    return Voxels.joined(parts)
 
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["built", "taken off"])

@@ -140,10 +140,11 @@ def _touching_extensions(
         if number in taken or len(pair[1 - epoch]) or not len(pair[epoch]):
             continue
         extension = pair[epoch].xyz
-        bodies = [pairs[i][epoch] for i in hosts]  # a wall between two lots makes no extension of a house
-        gaps = [_storey_on(pair[epoch], v) for v in bodies]
+        sides = [pairs[i][epoch] for i in hosts]
+        bodies = [v.xyz[v.height > _FENCE] for v in sides]  # no wall between two lots makes an extension
+        gaps = _gaps_below(pair[epoch], bodies)
         if not any(len(g) for g in gaps):
-            gaps = [gaps_to_host(extension, v.xyz[v.height > _FENCE], config.touch) for v in bodies]
+            gaps = [gaps_to_host(extension, body, config.touch) for body in bodies]
             gaps = [g[:0] if len(g) and apart(number, i) else g for g, i in zip(gaps, hosts, strict=True)]
         if not any(len(g) for g in gaps):
             continue
@@ -244,21 +245,21 @@ def _share_above(extension: Voxels, host: Voxels) -> float:
     return float(in_outline_of(host.xyz[:, :2], extension.xyz[:, :2]).mean())
 
 
-def _no_gaps(*_: object) -> Floats:
+def _no_gaps(*_: object) -> list[Floats]:
     """Return no gaps."""
-    return np.zeros(0)
+    return []
 
 
 @switchable("storeys_set_back", _no_gaps)
-def _storey_on(extension: Voxels, host: Voxels) -> Floats:
-    """Return a gap of 0 m for every place (M,) of a storey that stands on a host, none for what does not.
+def _gaps_below(extension: Voxels, hosts: Sequence[Floats]) -> list[Floats]:
+    """Return, of each host (N, 3), a gap of 0 m for every place (M,) of a storey that lies over it.
 
-    It begins above a room and lies over the host, of which the street may show no roof.
+    A storey begins above a room, and most of it lies over the host, of which the street may show no roof.
     """
     if quantile_of(extension.height, _BEGINS) < _LOWEST:
-        return np.zeros(0)
-    over = in_outline_of(host.xyz[host.height > _FENCE, :2], extension.xyz[:, :2])
-    return np.zeros(np.count_nonzero(over) if over.mean() >= _OVER else 0)
+        return []
+    over = [in_outline_of(host[:, :2], extension.xyz[:, :2]) for host in hosts]
+    return [np.zeros(np.count_nonzero(o) if o.mean() >= _OVER else 0) for o in over]
 
 
 def gaps_to_host(extension: Floats, host: Floats, touch: float) -> Floats:

@@ -24,6 +24,7 @@ from subiaco_change.objects.column_volumes import tops_of_columns
 from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.segmentation.bounding_rectangles import longer_axis_first
+from subiaco_change.segmentation.clustering import group_reduce
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints
 
@@ -93,11 +94,11 @@ class _Profile:
 
     ``front`` (S,): whether a wall that faces across the row stands there; ``alone`` (S,): share of its voxels
     whose place the other epoch observed and found empty, and ``above`` (S,) in whose column the other epoch
-    has something, both less what the quiet slots of the row show;
-    ``known`` (S,): whether the other epoch observed any of them; ``foot`` (S,): the share of what is lower
-    than a room, NaN where nothing is known; ``tops`` (S, T) of its columns [m], 0 for none; ``step`` (S,),
-    how far it rises over what the other epoch has in a column [m]; ``confirmed`` (S,): number of its voxels
-    whose place the other epoch saw free on both sides.
+    has something, both less what the quiet slots of the row show; ``known`` (S,): whether the other epoch
+    observed any of them; ``foot`` (S,): the share of what is lower than a room, NaN where nothing is known;
+    ``tops`` (S, T) of its columns [m], 0 for none; ``step`` (S,), how far it rises over what the other epoch
+    has in a column [m]; ``confirmed`` (S,): number of its voxels whose place the other epoch saw free on both
+    sides.
     """
 
     front: Mask
@@ -271,13 +272,12 @@ def _faces_row(voxels: Voxels, slots: Ints, along: Floats, count: int) -> Mask:
     Fewer of its voxels face along the row, as the front of a house does that is seen from its side. The
     edge of a roof on posts is no wall.
     """
-    walls = (voxels.height >= _FOOT) & (np.abs(voxels.normal[:, 2]) < _ACROSS)
-    across = np.abs(voxels.normal[:, :2] @ along) < _ACROSS
-    high, low = np.zeros(count), np.full(count, np.inf)
-    np.maximum.at(high, slots[walls & across], voxels.height[walls & across])
-    np.minimum.at(low, slots[walls & across], voxels.height[walls & across])
-    facing, turned = (np.bincount(slots[walls & part], minlength=count) for part in (across, ~across))
-    return np.asarray((facing >= turned) & (high - low >= _ROOM / 2))
+    wall = (voxels.height >= _FOOT) & (np.abs(voxels.normal[:, 2]) < _ACROSS)
+    turned = np.abs(voxels.normal[:, :2] @ along) >= _ACROSS
+    front, height = slots[wall & ~turned], voxels.height[wall & ~turned]
+    high, low = (group_reduce(front, height, count, how) for how in ("maximum", "minimum"))
+    sides = np.bincount(slots[wall & turned], minlength=count)
+    return np.asarray((np.bincount(front, minlength=count) >= sides) & (high - low >= _ROOM / 2))
 
 
 def _sharing_layers(voxels: Voxels, along: Floats) -> Voxels:
@@ -316,10 +316,9 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
 
     Where a part of a stretch is no house of the row, none of it is. Where walls were seen, a house that did
     not change has one that faces across the row: the facade of a house that was built upon behind it is no
-    house beside it, nor is its veranda. A house was reshaped where it rose or
-    fell: anything beside it in one epoch alone is a wing. Where a stretch has no such house, its neighbours
-    in the row may have changed too: then a tall building of one epoch alone may begin or end beside a house
-    that was reshaped.
+    house beside it, nor is its veranda. A house was reshaped where it rose or fell: anything beside it in one
+    epoch alone is a wing. Where a stretch has no such house, its neighbours in the row may have changed too:
+    then a tall building of one epoch alone may begin or end beside a house that was reshaped.
     """
     kind = _kinds(sides)
     rise = np.maximum(sides[0].step, sides[1].step)

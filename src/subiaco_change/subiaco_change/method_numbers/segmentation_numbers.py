@@ -17,7 +17,7 @@ class InstancesNumbers(StrictModel):
 
 
 class RoofStructuresNumbers(StrictModel):
-    """Numbers of ``segmentation/roof_structures.py`` and ``decisions/hanging_parts.py``."""
+    """Numbers of ``segmentation/roof_structures.py``, and of parts over a building in later stages."""
 
     cell: float = Field(0.5, description="Edge of the columns in which a part lies over a building [m]")
     lowest: float = Field(

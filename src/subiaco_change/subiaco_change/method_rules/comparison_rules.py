@@ -514,7 +514,11 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         _HERE,
         "A building that begins above a room and lies over another one is a storey of it, set back from its"
         " walls.",
-        ("method_numbers.roof_structures.lowest", "method_numbers.roof_structures.share"),
+        (
+            "method_numbers.roof_structures.lowest",
+            "method_numbers.roof_structures.foot_quantile",
+            "method_numbers.roof_structures.share",
+        ),
     ),
     Rule(
         "part_between_buildings",
