@@ -56,6 +56,14 @@ def test_a_wire_does_not_hide_the_sky_below_it() -> None:
     assert sky[int(1 / MAX_CLUTTER) : 31, :38].all()
 
 
+def test_a_column_that_something_nearer_than_the_sensor_measures_hides_is_not_sky() -> None:
+    returned = street()
+    returned[:, 60:100] = False  # a bus beside the car: neither the house behind it nor the road returns
+    sky = sky_mask(returned, np.ones_like(returned))
+    assert not sky[:31, 60:100].any()
+    assert sky[:15, 104:].all()
+
+
 def test_a_lost_column_proves_nothing_and_neither_do_its_neighbours() -> None:
     received = np.ones((64, 128), bool)
     received[:, 100] = False
@@ -73,6 +81,15 @@ def test_every_sky_beam_has_an_empty_neighbourhood_whatever_returned(seed: int, 
     nothing = np.pad(nothing, ((0, 0), (2, 2)), mode="wrap")
     twin = binary_erosion(nothing, np.ones((3, 5)))[1:-1, 2:-2]
     assert not (sky_mask(returned, received) & ~twin).any()
+
+
+def test_sky_above_a_wet_road_is_taken_where_some_of_the_road_returned() -> None:
+    returned = street()
+    returned[32:, :40] = False
+    returned[60:, :40] = True  # the road near the car
+    sky = sky_mask(returned, np.ones_like(returned))
+    assert sky[:15].all()
+    assert sky[:31, :38].all()
 
 
 def test_turn_by_turn_the_lattice_comes_round_to_every_beam() -> None:

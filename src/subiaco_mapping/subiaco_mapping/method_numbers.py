@@ -389,6 +389,10 @@ class PreprocessingNumbers(StrictModel):
         0.1,
         description="Largest fraction of the rings above a beam into the sky that returned",
     )
+    sky_below: float = Field(
+        0.05,
+        description="Smallest fraction of the rings below a beam into the sky that returned",
+    )
 
 
 class MappingNumbers(StrictModel):

@@ -8,6 +8,8 @@ drop-out). Only beams to the sky may be traced as free space, so a beam is used 
   leaves out drop-outs, edges and lost packets;
 * hardly anything returned from the rings above it in its own column: a window or a glass door has its
   lintel, wall and roof above, the sky has a wire at most;
+* something returned from the rings below it in its own column, as the road and what stands along it do:
+  where nothing did, a vehicle or a hand nearer than the sensor measures hid all;
 * it points above the horizon, asked later where the vertical is known
   (``fusion.sky_elevation_deg``): that leaves out wet roads and water.
 
@@ -26,6 +28,7 @@ from subiaco_mapping.method_numbers import NUMBERS
 RING_STEP = NUMBERS.preprocessing.sky_ring_step
 COLUMNS_PER_TURN = NUMBERS.preprocessing.sky_columns
 MAX_CLUTTER = NUMBERS.preprocessing.sky_clutter
+_BELOW = NUMBERS.preprocessing.sky_below
 _RING_REACH, _COLUMN_REACH = 1, 2
 
 Flags = NDArray[np.bool_]
@@ -46,15 +49,23 @@ def sky_mask(returned: Flags, received: Flags) -> Flags:
     (rings, columns) bool
         Beyond the highest and lowest ring nothing is asked; azimuth closes in itself.
     """
-    most = np.floor(MAX_CLUTTER * np.arange(1, len(returned) + 1, dtype=np.float32)).astype(np.int64)
-    return _sky_mask(returned, received, most, _RING_REACH, _COLUMN_REACH)
+    rings = len(returned)
+    most = np.floor(MAX_CLUTTER * np.arange(1, rings + 1, dtype=np.float32)).astype(np.int64)
+    least = np.ceil(_BELOW * np.arange(rings - 1, -1, -1, dtype=np.float32)).astype(np.int64)
+    return _sky_mask(returned, received, most, least, _RING_REACH, _COLUMN_REACH)
 
 
 @numba.njit(cache=True)
-def _sky_mask(returned: Flags, received: Flags, most: Ints, ring_reach: int, column_reach: int) -> Flags:
-    """Mark beams (R, C) with nothing around them and at most ``most`` (R,) returns from their ring up."""
+def _sky_mask(
+    returned: Flags, received: Flags, most: Ints, least: Ints, ring_reach: int, column_reach: int
+) -> Flags:
+    """Mark beams (R, C) with nothing around them.
+
+    At most ``most`` (R,) beams returned from their ring up, and at least ``least`` (R,) below.
+    """
     rings, columns = returned.shape
     sky, above = np.empty((rings, columns), np.bool_), np.zeros(columns, np.int64)
+    total = returned.sum(axis=0)
     calm = np.empty(columns + 2 * column_reach, np.bool_)  # with the columns beyond either end of the turn
     inner = calm[column_reach : column_reach + columns]
     for ring in range(rings):
@@ -66,7 +77,8 @@ def _sky_mask(returned: Flags, received: Flags, most: Ints, ring_reach: int, col
         calm[columns + column_reach :] = inner[:column_reach]
         for column in range(columns):
             above[column] += returned[ring, column]
-            sky[ring, column] = above[column] <= most[ring]
+            below = total[column] - above[column]
+            sky[ring, column] = (above[column] <= most[ring]) & (below >= least[ring])
         for step in range(2 * column_reach + 1):
             for column in range(columns):
                 sky[ring, column] &= calm[column + step]
