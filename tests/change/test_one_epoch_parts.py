@@ -613,3 +613,40 @@ def test_a_wing_is_of_its_house_although_a_fence_ran_along_it(taken_away):
     ]
     (told,) = join_building_extensions(changes, rules)
     assert {t.instance for t in (*told.before, *told.after)} == {1, 2, 3}
+
+
+def facade(length, tall):
+    """A wall along x that faces the street at y < 0, as in both epochs."""
+    wall = voxels(block((0, 0, 0), (length, 0.5, tall)))
+    return replace(wall, normal=np.tile([0.0, -1.0, 0.0], (len(wall), 1)))
+
+
+@pytest.mark.parametrize(("begins", "parts"), [(0.0, 2), (1.5, 2), (2.5, 1)])
+def test_scaffolding_that_shares_columns_with_the_wall_behind_it_is_an_object_of_its_own(begins, parts):
+    wall = facade(8.0, 5.0)
+    boards = voxels(block((1.0, -0.5, begins), (7.0, 0.5, 4.5)) - (0.0, 0.05, 0.0), occupied_in_other=False)
+    held = wall.add(replace(boards, owner=np.zeros(len(boards), np.int64)))
+    points = np.repeat(held.xyz, 4, axis=0)
+    house = ObjectInstance(0, Semantic.BUILDING, 0.8, np.arange(len(points)), held, 0.03, points)
+    assert len(split_one_epoch_parts([house], CONFIG)) == parts
+    with rules_switched_off(["layers_before_walls"]):
+        assert len(split_one_epoch_parts([house], CONFIG)) == 1
+
+
+@pytest.mark.parametrize(("semantic", "kept"), [(Semantic.BUILDING, 0), (Semantic.VEGETATION, 8)])
+def test_what_stood_in_both_epochs_within_the_outline_of_a_new_house_is_of_the_house(semantic, kept):
+    """One instance holds the new house and its neighbour 3 m away; a tree stood where its corner is."""
+    new, neighbour = walls(10, 8, 6), np.add(block((0, 0, 0), (6, 1, 3)), (13, 0, 0))
+    corner = (new[:, 0] < 1) & (new[:, 1] < 1) & (new[:, 2] < 4)
+    both = obj([(new[~corner], False), (new[corner], True), (neighbour, True)])
+    rest, house = split_one_epoch_parts([replace(both, semantic=semantic)], CONFIG)
+    assert np.count_nonzero(rest.voxels.xyz[:, 0] < 10) == kept * (np.count_nonzero(corner) // 8)
+    assert np.count_nonzero(house.voxels.xyz[:, 0] > 10) == 0
+
+
+@pytest.mark.parametrize(("tall", "garage", "wing"), [(6.0, 2.5, False), (6.0, 5.0, True), (3.0, 2.5, True)])
+def test_a_new_house_that_touches_the_garage_of_its_neighbour_alone_is_no_wing_of_it(tall, garage, wing):
+    body = np.concatenate([walls(12, 10, 6), np.add(walls(3, 5, garage), (12, 0, 0))])
+    new = moved(walls(8, 8, tall), 15.4)
+    found = find_building_extensions([(voxels(body), voxels(body)), (NONE, new)], CONFIG)
+    assert found == ({1: 0} if wing else {})

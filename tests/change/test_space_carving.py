@@ -504,6 +504,30 @@ def test_a_party_wall_of_unknown_height_does_not_hide_how_far_a_roof_rose():
     assert (found.low, found.high) == pytest.approx((1.0, 1.0), abs=0.3)
 
 
+def penthouse(side):
+    """Change of height of a flat roof that got a storey 1 m behind its edge, seen from the street below.
+
+    Nobody saw a roof. ``side``: whether the side wall of the storey was seen.
+    """
+    top, west, east, back = TALL + 3.0, 2.0, LENGTH - 1.0, 1.0
+    front = sheet((west, back, TALL + 0.5), (east, back + CELL, top))
+    end = sheet((east - CELL, back + CELL, TALL + 0.5), (east, DEPTH, top))
+    storey = voxels(front, *([end] if side else []), occupied_in_other=False)
+    edge, beside = ((-9, -9, TALL), (30, back, HIGH)), ((east, -9, TALL), (30, 30, HIGH))
+    before = epoch(house(), inside(OUT["street"], edge, ((-9, -9, TALL + 0.5), (30, 30, HIGH))))
+    after = epoch(house(), inside(OUT["street"], edge, beside, ((-9, -9, top), (30, 30, HIGH))))
+    return rise_of(before, replace(after, voxels=after.voxels.add(walls_of(storey))))
+
+
+def test_a_storey_behind_the_edge_of_a_flat_roof_raises_a_house_though_nobody_saw_a_roof():
+    found = penthouse(side=True)
+    assert found.low > 2.0
+    assert found.low <= 3.0 <= found.high + 0.3
+    with rules_switched_off(["behind_new_walls"]):
+        assert penthouse(side=True).low < 0.3
+    assert penthouse(side=False).low < 0.3, "a single wall may be a parapet"
+
+
 def test_the_edge_of_a_roof_alone_does_not_tell_how_far_a_house_rose():
     assert raised_house(deep=CELL).low < 0.3
 

@@ -36,7 +36,7 @@ TREE = PlantMeasures(
     kind="crown", density=0.0, size=2.0, voxels=300, reach=2.0, outline=0.0, outline_sigma=0.03,
     top=0.0, volume=0.0, surface=0.0, rise=math.nan, rise_sigma=math.nan,
 )  # fmt: skip
-HEDGE = replace(TREE, kind="hedge", rise=0.0, rise_sigma=0.02)
+HEDGE = replace(TREE, kind="hedge", rise=0.0, rise_sigma=0.02, height=2.0)
 
 
 def street(count, shift, scatter, changed=(), seed=0, slope=0.0):
@@ -60,6 +60,19 @@ def test_the_top_of_a_tall_plant_must_change_by_a_share_of_its_height(height, ri
     assert label(tree, no_null(NULL)).change is change
     with rules_switched_off(["tops_of_tall_plants"]):
         assert label(tree, no_null(NULL)).change is not Change.UNCHANGED
+
+
+@pytest.mark.parametrize(("height", "rise", "grew"), [
+    (1.3, 0.24, True), (1.3, 0.15, False), (2.5, 0.24, False), (2.5, 0.31, True),
+])  # fmt: skip
+def test_a_hedge_grows_by_a_share_of_its_height_that_is_a_change_of_its_volume(height, rise, grew):
+    hedge = replace(HEDGE, height=height, rise=rise, rise_sigma=0.02)
+    null = replace(no_null(NULL), stated=NULL.stated.model_copy(update={"rise": 0.04}))
+    for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
+        told = label(replace(hedge, rise=sign * rise), null).change
+        assert told is (change if grew else Change.UNCHANGED)
+    with rules_switched_off(["volume_of_hedges"]):
+        assert (label(hedge, null).change is Change.INCREASED) == (rise > CONFIG.vegetation.height)
 
 
 @pytest.mark.parametrize("shift", [0.25, -0.25])

@@ -265,12 +265,14 @@ def _excesses(
     """Return every measure of a whole plant with its limit: the rule's, or the scatter of the pair."""
     share = rules.height_share * plant.height
     top = max(share if applies("tops_of_tall_plants", share > rules.height) else rules.height, gate)
+    hedge = max(rules.volume * plant.height, gate)
+    rise = hedge if applies("volume_of_hedges", plant.kind == "hedge" and hedge < top) else top
     limits = {
         "outline": rules.outline * plant.reach
         if applies("outline_of_plants", math.isfinite(plant.reach))
         else math.inf,
         "top": top,
-        "rise": top,
+        "rise": rise,
         "volume": rules.volume,
         "surface": rules.min_net_change if _has_part_on_side(plant, plant.surface, rules) else rules.surface,
         "base": max(rules.base, gate),

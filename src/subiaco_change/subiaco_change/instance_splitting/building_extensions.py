@@ -38,6 +38,8 @@ _FACING = NUMBERS.building_extensions.facing
 _SLOPED = NUMBERS.building_extensions.sloped
 _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
+_GARAGE = NUMBERS.changed_houses.garage_height
+_LEAST = NUMBERS.changed_houses.least_top
 _OPEN = NUMBERS.building_extensions.open_gap
 _FOOT = NUMBERS.building_extensions.foot
 _THICK = NUMBERS.building_extensions.roof_band
@@ -141,7 +143,7 @@ def _touching_extensions(
             continue
         extension = pair[epoch].xyz
         sides = [pairs[i][epoch] for i in hosts]
-        bodies = [v.xyz[v.height > _FENCE] for v in sides]  # no wall between two lots makes an extension
+        bodies = [_body(v, pair[epoch]) for v in sides]
         gaps = _gaps_below(pair[epoch], bodies)
         if not any(len(g) for g in gaps):
             gaps = [gaps_to_host(extension, body, config.touch) for body in bodies]
@@ -158,6 +160,17 @@ def _touching_extensions(
         if _is_extension(pair[epoch], pairs[host], epoch, contact, config, ground.bare(epoch)):
             extensions[number] = host
     return extensions
+
+
+def _body(host: Voxels, extension: Voxels) -> Floats:
+    """Return the places (N, 3) of a host at which an extension touches it.
+
+    No wall between two lots makes an extension, and a house that touches the garage of another one alone is
+    none.
+    """
+    garage = min(_GARAGE, _LEAST * _top(extension))
+    least = garage if len(host) and _top(host) > garage else _FENCE
+    return host.xyz[host.height > max(least, _FENCE)]
 
 
 def _is_extension(

@@ -12,6 +12,7 @@ from subiaco_change.association.config import PartConfig
 from subiaco_change.geometry import column_keys, in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
+from subiaco_change.objects.layers import before_walls, walls_of_both
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
@@ -22,7 +23,9 @@ _CELL = NUMBERS.one_epoch_parts.cell
 _WELL_KNOWN = NUMBERS.one_epoch_parts.observed_voxels
 _FAR = NUMBERS.one_epoch_parts.far_share
 _ABOVE = NUMBERS.one_epoch_parts.overhang
+_LAYER = NUMBERS.layers.share
 _TOP = NUMBERS.felled_crowns.top_reach
+_REMAINS = NUMBERS.one_epoch_parts.remains_inside
 _OBJECT = NUMBERS.one_epoch_parts.object_voxels
 
 
@@ -141,7 +144,28 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
                 labels[part] = count
     if count == 0:
         return labels
-    return _with_unseen(obj, labels, config)
+    return _with_unseen(obj, _with_remains(obj, labels, config), config)
+
+
+def _with_remains(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
+    """Give a part of a building the pieces of the rest that lie within its outline, apart from all else.
+
+    A tree stood where the corner of a new house is: both epochs have something there, and the corner is still
+    of the new house, and not of the neighbour's, whose instance holds both.
+    """
+    voxels = obj.voxels
+    rest = np.flatnonzero((labels == 0) & voxels.observed)
+    if obj.semantic is not Semantic.BUILDING or len(rest) == 0:
+        return labels
+    pieces = sorted(group_indices(voxel_clusters(voxels.xyz[rest], config.gap)), key=len)
+    for piece in pieces[:-1]:
+        places = voxels.xyz[rest[piece], :2]
+        for part in range(1, int(labels.max()) + 1):
+            own = voxels.xyz[labels == part, :2]
+            if len(piece) < len(own) and in_outline_of(own, places, _CELL).mean() >= _REMAINS:
+                labels[rest[piece]] = part
+                break
+    return labels
 
 
 def _free_columns(
@@ -163,14 +187,24 @@ def _free_columns(
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
     voxels = obj.voxels
     lowest = voxels.height[piece].min()
-    if lowest > config.foot and not (lowest <= config.hidden_foot and _is_tree(obj, piece)):
+    layer = _is_layer(obj, piece)
+    if lowest > config.foot and not (lowest <= config.hidden_foot and (layer or _is_tree(obj, piece))):
         return False
     if np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
     inside = _below(obj, piece, column) & voxels.observed
+    if layer:
+        inside &= ~walls_of_both(voxels)
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
+
+
+def _is_layer(obj: ObjectInstance, piece: Ints) -> bool:
+    """Tell whether a piece stands close before a wall of its building that both epochs have."""
+    if obj.semantic is not Semantic.BUILDING:
+        return False
+    return bool(before_walls(obj.voxels.xyz[piece], obj.voxels).mean() > _LAYER)
 
 
 @switchable("hidden_trunks", never)

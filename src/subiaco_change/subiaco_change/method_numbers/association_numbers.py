@@ -230,6 +230,11 @@ class OneEpochPartsNumbers(StrictModel):
         description="Fraction of the voxels of a part that must lie farther from points of the other epoch "
         "than its spacing explains",
     )
+    remains_inside: float = Field(
+        0.5,
+        description="Fraction of a piece of an instance that must lie within the outline of a part in one "
+        "epoch alone for the piece to belong to it",
+    )
     object_voxels: int = Field(
         50,
         description="Number of voxels that both epochs have from which the remainder of an instance is an "

@@ -267,6 +267,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "association.parts.whole",
             "association.parts.remainder",
             "method_numbers.one_epoch_parts.far_share",
+            "method_numbers.one_epoch_parts.remains_inside",
         ),
     ),
     Rule(
@@ -466,8 +467,14 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "building_extensions",
         _HERE,
-        "A part that touches a building and exists in one epoch alone is an extension of the building.",
-        ("association.parts.touch", "association.parts.subordinate"),
+        "A part that touches a building and exists in one epoch alone is an extension of the building; a"
+        " house that touches the garage of the building alone is none.",
+        (
+            "association.parts.touch",
+            "association.parts.subordinate",
+            "method_numbers.changed_houses.garage_height",
+            "method_numbers.changed_houses.least_top",
+        ),
     ),
     Rule(
         "smooth_extensions",

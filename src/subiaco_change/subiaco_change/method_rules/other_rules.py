@@ -57,6 +57,13 @@ PLANT_RULES: tuple[Rule, ...] = (
         ("decisions.vegetation.height_share",),
     ),
     Rule(
+        "volume_of_hedges",
+        _PLANTS,
+        "The tops of a hedge tell its volume: a rise by the share of its height that is a change of volume is"
+        " one, where the pair's hedges do not scatter as much.",
+        ("decisions.vegetation.volume",),
+    ),
+    Rule(
         "space_above_tops",
         ("comparison",),
         "The tops of a plant count where the epoch with the lower top observed free space above that top.",

@@ -22,6 +22,12 @@ _NEAREST = NUMBERS.layers.nearest_walls
 _STEEP = NUMBERS.layers.wall_normal
 
 
+def walls_of_both(voxels: Voxels) -> Mask:
+    """Tell which voxels (N,) are of walls that both epochs have."""
+    steep = np.hypot(voxels.normal[:, 0], voxels.normal[:, 1]) > _STEEP
+    return np.asarray(steep & voxels.occupied_in_other)
+
+
 def _before_none(places: Floats, *_: object) -> Mask:
     """Return that no place lies before a wall."""
     return np.zeros(len(places), dtype=bool)
@@ -48,8 +54,7 @@ def before_walls(places: Floats, voxels: Voxels, outside: Empty | None = None) -
     -------
     (N,) bool
     """
-    steep = np.hypot(voxels.normal[:, 0], voxels.normal[:, 1]) > _STEEP
-    walls = voxels.select(steep & voxels.occupied_in_other)
+    walls = voxels.select(walls_of_both(voxels))
     if len(walls) == 0 or len(places) == 0:
         return _before_none(places)
     found = cKDTree(walls.xyz).query(places, k=min(_NEAREST, len(walls)), distance_upper_bound=_DEPTH)

@@ -201,7 +201,8 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
     old = states[0] if len(before.voxels) else states[1]
     whole = _whole(old, both, gain.cells, frame)
     area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
-    height, confirmed = _height(states, frame, config), (gain.confirmed, loss.confirmed)
+    rooms = [_unseen_roofs(s, d.cells, frame) for s, d in zip(states, (loss, gain), strict=True)]
+    height, confirmed = _height(states, rooms, frame, config), (gain.confirmed, loss.confirmed)
     return Carved(gain.volume, loss.volume, height, whole, 0.5 * frame.rise * area, confirmed)
 
 
@@ -535,7 +536,14 @@ def _behind_new_walls(old: _State, new: _State, config: CarvingConfig) -> Cells:
     return walls | (_enclosed(walls, stops | (old.solid & ~walls)) & ~new.free)
 
 
-def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
+def _unseen_roofs(state: _State, alone: Cells, frame: _Frame) -> Floats:
+    """Return the tops (nx, ny) of what one epoch alone has where it saw no surface [m], 0 elsewhere."""
+    return np.where(alone & (state.top == 0)[:, :, None], frame.levels, 0.0).max(axis=2)
+
+
+def _height(
+    states: Sequence[_State], rooms: Sequence[Floats], frame: _Frame, config: CarvingConfig
+) -> Interval:
     """Change of the height that 5 % of the columns reach, of columns whose tops both epochs know.
 
     The top of a column lies between the highest surface seen in it and the lowest free cell above, or the
@@ -545,6 +553,8 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     see says nothing of that roof. A column that is open down to less than a room lost its body, which is
     a change of volume. Where few columns have free space above, those without count too, up to the
     highest top of all. Chimneys, parapets and party walls are no roof. A top is known to half of a cell.
+    ``rooms``: the tops (nx, ny) of what each epoch alone has [m], 0 where it has nothing; a street shows the
+    walls of a storey that stands back from the edge of a flat roof, and none of the roof that they carry.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
@@ -557,12 +567,12 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
         columns = capped
     columns = _tightly_known(columns, bounds, frame, config)
     tops = []
-    for low, high in bounds:
+    for (low, high), room in zip(bounds, rooms, strict=True):
         if not (low[columns] > 0).any():
             return Interval(float("nan"), float("nan"))
         known = np.minimum(high, np.maximum(ceiling, low))
-        roofs = (_without_narrow(top, columns, frame, config) for top in (low, known))
-        tops.append([_reached(roof) for roof in roofs])
+        seen = _reached(_without_narrow(low, columns, frame, config, room))
+        tops.append((seen, max(_reached(_without_narrow(known, columns, frame, config)), seen)))
     (low_b, high_b), (low_a, high_a) = tops
     return Interval(low_a - high_b, high_a - low_b).widened(0.5 * frame.rise)
 
@@ -572,12 +582,19 @@ def _reached(tops: Floats) -> float:
     return quantile_of(tops, 0.95)
 
 
-def _without_narrow(top: Floats, columns: Mask, frame: _Frame, config: CarvingConfig) -> Floats:
-    """Return the tops (K,) of some columns (nx, ny) without what is narrower than a roof [m]."""
+def _without_narrow(
+    top: Floats, columns: Mask, frame: _Frame, config: CarvingConfig, room: Floats | float = 0.0
+) -> Floats:
+    """Return the tops (K,) of some columns (nx, ny) without what is narrower than a roof [m].
+
+    A wall before a ``room`` (nx, ny), of which the roof was not seen, is as wide as the room [m].
+    """
     width = 2 * int(0.5 * config.roof_width / frame.cell) + 1  # columns of the narrowest roof: an odd number
-    lowest = ndimage.minimum_filter(np.where(columns, top, np.inf), width, mode="nearest")
-    roof = ndimage.maximum_filter(np.where(columns, lowest, -np.inf), width, mode="nearest")
-    return np.asarray(roof[columns])
+    wide = columns | (room > 0)
+    own = np.where(columns, top, room)
+    lowest = ndimage.minimum_filter(np.where(wide, own, np.inf), width, mode="nearest")
+    roof = ndimage.maximum_filter(np.where(wide, lowest, -np.inf), width, mode="nearest")
+    return np.asarray(np.minimum(roof, top)[columns])
 
 
 @switchable("known_tops", first_argument)
