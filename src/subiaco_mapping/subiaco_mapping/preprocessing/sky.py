@@ -8,7 +8,7 @@ drop-out). Only beams to the sky may be traced as free space, so a beam is used 
   leaves out drop-outs, edges and lost packets;
 * hardly anything returned from the rings above it in its own column: a window or a glass door has its
   lintel, wall and roof above, the sky has a wire at most;
-* something returned from the rings below it in its own column, as the road and what stands along it do:
+* something returned from the rings below it in these columns, as the road and what stands along it do:
   where nothing did, a vehicle or a hand nearer than the sensor measures hid all;
 * it points above the horizon, asked later where the vertical is known
   (``fusion.sky_elevation_deg``): that leaves out wet roads and water.
@@ -59,9 +59,9 @@ def sky_mask(returned: Flags, received: Flags) -> Flags:
 def _sky_mask(
     returned: Flags, received: Flags, most: Ints, least: Ints, ring_reach: int, column_reach: int
 ) -> Flags:
-    """Mark beams (R, C) with nothing around them.
+    """Mark beams (R, C) with nothing around them, in columns of which at least ``least`` (R,) returned below.
 
-    At most ``most`` (R,) beams returned from their ring up, and at least ``least`` (R,) below.
+    In their own column at most ``most`` (R,) returned from their ring up.
     """
     rings, columns = returned.shape
     sky, above = np.empty((rings, columns), np.bool_), np.zeros(columns, np.int64)
@@ -73,12 +73,13 @@ def _sky_mask(
         for near in range(max(ring - ring_reach, 0), min(ring + ring_reach + 1, rings)):
             for column in range(columns):
                 inner[column] &= received[near, column] & ~returned[near, column]
+        for column in range(columns):
+            above[column] += returned[ring, column]
+            inner[column] &= total[column] - above[column] >= least[ring]
         calm[:column_reach] = inner[columns - column_reach :]
         calm[columns + column_reach :] = inner[:column_reach]
         for column in range(columns):
-            above[column] += returned[ring, column]
-            below = total[column] - above[column]
-            sky[ring, column] = (above[column] <= most[ring]) & (below >= least[ring])
+            sky[ring, column] = above[column] <= most[ring]
         for step in range(2 * column_reach + 1):
             for column in range(columns):
                 sky[ring, column] &= calm[column + step]
