@@ -8,7 +8,7 @@ drop-out). Only beams to the sky may be traced as free space, so a beam is used 
   leaves out drop-outs, edges and lost packets;
 * hardly anything returned from the rings above it in its own column: a window or a glass door has its
   lintel, wall and roof above, the sky has a wire at most;
-* something returned from the rings below it in these columns, as the road and what stands along it do:
+* something returned from the rings below it in these columns, for the road and the objects along it do:
   where nothing did, a vehicle or a hand nearer than the sensor measures hid all;
 * it points above the horizon, asked later where the vertical is known
   (``fusion.sky_elevation_deg``): that leaves out wet roads and water.
