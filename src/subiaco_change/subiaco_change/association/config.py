@@ -30,8 +30,8 @@ class PartConfig(StrictModel):
     hidden_foot: float = Field(
         2.0,
         gt=0,
-        description="Height above ground below which a tree with a top of its own must begin to be split off "
-        "[m]; parked cars and hedges hide trunks up to this height",
+        description="Height above ground below which a tree with a top of its own, or an object before a "
+        "wall, must begin to be split off [m]; parked cars and hedges hide what is lower",
     )
     top: float = Field(
         0.6,

@@ -168,9 +168,9 @@ def _body(host: Voxels, extension: Voxels) -> Floats:
     No wall between two lots makes an extension, and a house that touches the garage of another one alone is
     none.
     """
-    garage = min(_GARAGE, _LEAST * _top(extension))
+    garage = max(_FENCE, min(_GARAGE, _LEAST * _top(extension)))
     least = garage if len(host) and _top(host) > garage else _FENCE
-    return host.xyz[host.height > max(least, _FENCE)]
+    return host.xyz[host.height > least]
 
 
 def _is_extension(

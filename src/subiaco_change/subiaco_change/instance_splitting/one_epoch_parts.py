@@ -187,12 +187,12 @@ def _free_columns(
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
     voxels = obj.voxels
     lowest = voxels.height[piece].min()
-    layer = _is_layer(obj, piece)
-    if lowest > config.foot and not (lowest <= config.hidden_foot and (layer or _is_tree(obj, piece))):
-        return False
     if np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
+        return False
+    layer = _is_layer(obj, piece)
+    if lowest > config.foot and not (lowest <= config.hidden_foot and (layer or _is_tree(obj, piece))):
         return False
     inside = _below(obj, piece, column) & voxels.observed
     if layer:
