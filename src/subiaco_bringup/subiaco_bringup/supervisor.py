@@ -15,7 +15,7 @@ from typing import Any
 
 from subiaco_bringup.graph import GraphSpec, NodeSpec, process_command
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
-from subiaco_geo.signals import interrupt_blocked, sigterm_interrupts
+from subiaco_geo.signals import interrupt_blocked, signals_interrupt
 from subiaco_ros.supervision import CHANNEL, NodeProgress, ReportListener
 
 LOGGER = logging.getLogger(__name__)
@@ -215,7 +215,7 @@ class Supervisor:
         KeyboardInterrupt
             Interrupted from outside, or a node was.
         """
-        with sigterm_interrupts():
+        with signals_interrupt():
             try:
                 for spec in self._graph.nodes:
                     self._start(spec)

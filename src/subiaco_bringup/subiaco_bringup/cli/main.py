@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from subiaco_bringup.cli import (
 from subiaco_geo import __version__
 from subiaco_geo.disk import is_disk_full
 from subiaco_geo.errors import SubiacoError
-from subiaco_geo.signals import sigterm_interrupts
+from subiaco_geo.signals import signals_interrupt
 
 EPILOG = """\b
 A survey in four commands:
@@ -127,9 +128,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     verbose = "-v" in words or "--verbose" in words
-    terminated: list[int] = []
+    came: list[int] = []
     try:
-        with sigterm_interrupts() as terminated:
+        with signals_interrupt() as came:
             outcome = app(args=words, prog_name="subiaco", standalone_mode=False)
     except SubiacoError as error:
         if verbose:
@@ -147,7 +148,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _report_unexpected(error, words)
     if outcome == _INTERRUPTED:  # typer turns Ctrl-C into this code without a word
         _report("interrupted; no output was written")
-        return _TERMINATED if terminated else _INTERRUPTED
+        return _TERMINATED if signal.SIGTERM in came else _INTERRUPTED
     return int(outcome or 0)
 
 
