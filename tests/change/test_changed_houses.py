@@ -87,6 +87,36 @@ def test_what_fills_the_gap_between_two_houses_and_is_as_low_as_a_garage_is_no_h
     assert changed(*rows[::sign]) == places
 
 
+@pytest.mark.parametrize("sign", [1, -1], ids=["built", "demolished"])
+@pytest.mark.parametrize(
+    ("front", "is_house"), [(4.0, True), (6.0, True), (2.8, False)], ids=["as high", "higher", "lower"]
+)
+def test_a_house_at_the_end_of_a_row_is_as_high_as_the_fronts_that_were_seen_of_it(front, is_house, sign):
+    """Its roof shows, and rises by 2 m behind its front; of its neighbours no roof was seen."""
+    before, after = houses([4.0] * 4), houses([4.0, 4.0, 4.0, 0.0])
+
+    def shown(voxels):
+        end, depth = voxels.xyz[:, 0] > 3 * WIDTH, voxels.xyz[:, 1] - VERANDAH
+        height = np.where(end & (depth > 0), front + np.where(depth > 1.0, 2.0, 0.0), voxels.height)
+        xyz = np.column_stack([voxels.xyz[:, :2], height])
+        return replace(voxels, xyz=xyz, height=height).select(end | (depth < 1.0))
+
+    pair = shown(roofs(before, after)), shown(roofs(after, before))
+    assert changed_places(pair[::-sign]) == ([3] if is_house else [])
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["built", "demolished"])
+@pytest.mark.parametrize(
+    ("gap", "top", "width", "is_house"),
+    [(1.5, 7.0, 6.0, True), (0.0, 7.0, 6.0, False), (1.5, 2.8, 6.0, False), (1.5, 7.0, 4.0, False)],
+    ids=["apart", "touching", "garage", "narrow"],
+)
+def test_what_stands_apart_from_the_garage_of_a_house_is_a_house_of_its_own(gap, top, width, is_house, sign):
+    sizes = np.array([10.0, 4.0, gap, width])
+    rows = [np.repeat([5.0, 2.8, 0.0, end], np.round(sizes / CELL).astype(int)) for end in (0.0, top)]
+    assert bool(changed(*rows[::sign])) == is_house
+
+
 @pytest.mark.parametrize(("width", "is_house"), [(3.5, False), (5.0, True)])
 def test_a_narrow_part_at_the_end_of_a_row_may_be_an_extension_though_as_high_as_the_row(width, is_house):
     slots = round(width / CELL)
@@ -281,6 +311,16 @@ def test_scaffolding_before_one_house_of_a_row_does_not_hide_that_its_neighbour_
 
 def test_a_roof_that_rose_by_more_than_a_building_must_change_parts_its_house():
     assert changed(houses((4.0, 4.0, 4.0)), houses((4.0, 4.9, 4.0))) == [1]
+
+
+def test_a_front_that_rose_shows_also_where_one_survey_saw_much_more_behind_it():
+    """The fronts are 6 m high, the middle one 6.6 m later; the roofs behind them were seen later alone."""
+    tops = houses((6.0, 6.0, 6.0)), houses((6.0, 6.6, 6.0))
+    before, after = (v.select(v.xyz[:, 1] < CELL) for v in (fronts(*tops), fronts(*tops[::-1])))
+    behind = roofs(tops[1], tops[1])
+    behind = behind.select(behind.xyz[:, 1] > VERANDAH)
+    seen = replace(behind, occupied_in_other=np.ones(len(behind), dtype=bool))
+    assert changed_places((before, after.add(seen))) == [1]
 
 
 @pytest.mark.parametrize(

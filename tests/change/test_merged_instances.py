@@ -10,6 +10,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object
 from subiaco_change.decisions.split_merge import split_row_houses
 from subiaco_change.instance_splitting.merged_instances import group_row_houses
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_change.objects.measures import MeasureConfig
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Change, Semantic
@@ -182,3 +183,36 @@ def test_a_house_at_the_end_of_a_row_that_the_other_epoch_did_not_see_does_not_h
     assert found[1] == GONE
     assert found[0] == found[2] == SAME
     assert not found[3] & {Change.REMOVED, Change.DECREASED}
+
+
+def test_scaffolding_before_two_houses_makes_no_row_of_them():
+    sides = row((5.0, 5.0), [[0], [1]])
+    x, z = (a.ravel() for a in np.meshgrid(np.arange(1.25, 2 * WIDTH - 1, 0.5), np.arange(0.25, 5.0, 0.5)))
+    scaffolding = np.column_stack([x, np.full(len(x), -0.25), z])
+    left, right, new = objects([*sides, scaffolding], sides)
+
+    def facing(house):
+        front = np.where((house.xyz[:, 1] < 0.5)[:, None], (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
+        return replace(house, voxels=replace(house.voxels, normal=front))
+
+    new = replace(new, xyz=scaffolding)
+    houses = [([h], [h]) for h in map(facing, (left, right))]
+    claimed = [False, False, True]
+    assert group_row_houses([*houses, ([], [new])], claimed, RULES.association) == [[0], [1], [2]]
+    with rules_switched_off(["layers_before_walls"]):
+        assert group_row_houses([*houses, ([], [new])], claimed, RULES.association) == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize("earlier", [True, False])
+def test_a_garage_that_is_left_of_a_demolished_house_is_no_part_of_the_house(earlier):
+    """The neighbour was built upon, so that the garage is all of the row that did not change."""
+    garage = house(2, 3.5)
+    garage = garage[(garage[:, 0] < 2 * WIDTH + 4.0) & (garage[:, 1] < 1.5)]
+    full, left = np.concatenate([house(0, 4.0), house(1, 5.0), garage]), [house(0, 7.0), garage]
+    sides = ([full], left) if earlier else (left, [full])
+    before, after = objects(*sides), objects(*sides[::-1])
+    told = by_place([decide_object(before, after, Semantic.BUILDING, RULES)])
+    grew, gone = (Change.INCREASED, Change.REMOVED) if earlier else (Change.DECREASED, Change.ADDED)
+    assert grew in told[0]
+    assert gone in told[1]
+    assert told[2] == SAME

@@ -93,12 +93,12 @@ class _Profile:
     """What one epoch has in every slot along a row, of what is as tall as a house.
 
     ``front`` (S,): whether a wall that faces across the row stands there; ``alone`` (S,): share of its voxels
-    whose place the other epoch observed and found empty, and ``above`` (S,) in whose column the other epoch
-    has something, both less what the quiet slots of the row show; ``known`` (S,): whether the other epoch
-    observed any of them; ``foot`` (S,): the share of what is lower than a room, NaN where nothing is known;
-    ``tops`` (S, T) of its columns [m], 0 for none; ``step`` (S,), how far it rises over what the other epoch
-    has in a column [m]; ``confirmed`` (S,): number of its voxels whose place the other epoch saw free on both
-    sides.
+    whose place the other epoch observed and found empty, and ``above`` (S,) of those in whose column the
+    other epoch has something, both less what the quiet slots of the row show; ``known`` (S,): whether the
+    other epoch observed any of them; ``foot`` (S,): the share of what is lower than a room, NaN where nothing
+    is known; ``tops`` (S, T) of its columns [m], 0 for none; ``step`` (S,), how far it rises over what the
+    other epoch has in a column [m]; ``confirmed`` (S,): number of its voxels whose place the other epoch saw
+    free on both sides.
     """
 
     front: Mask
@@ -248,12 +248,13 @@ def _profile(
     """Measure one epoch, with its tops and those of the other (S, T); single slots are smoothed away."""
     count, place = len(tops), slots[:, 0]
     low, alone = ~tall & (voxels.height >= _FOOT), voxels.observed_unoccupied
-    known, known_low = (np.bincount(place[part & voxels.observed], minlength=count) for part in (tall, low))
+    in_column = tall & (others[tuple(slots.T)] > 0)
+    known, known_above, known_low = (
+        np.bincount(place[part & voxels.observed], minlength=count) for part in (tall, in_column, low)
+    )
     alone_share, above_share = (
-        _less_quiet(
-            _smoothed(np.bincount(place[tall & alone & part], minlength=count) / np.maximum(known, 1))
-        )
-        for part in (True, others[tuple(slots.T)] > 0)
+        _less_quiet(_smoothed(np.bincount(place[part & alone], minlength=count) / np.maximum(of, 1)))
+        for part, of in ((tall, known), (in_column, known_above))
     )
     foot = np.bincount(place[low & alone], minlength=count) / np.where(known_low > 0, known_low, np.nan)
     new = tall & alone
@@ -353,7 +354,8 @@ def _houses_of(row: _Row, changed: Mask, beside: Mask) -> list[_Stretch]:
             _is_wall(alike[max(begin - _WIDTH, 0) : begin][::-1], row.step[begin:end]),
             _is_wall(alike[end : end + _WIDTH], row.step[begin:end][::-1]),
         )
-        if row.share[begin:end].mean() < _CLEAR or not any(walls):
+        apart = _stands_apart(row, begin, end)
+        if row.share[begin:end].mean() < _CLEAR or not (apart or any(walls)):
             continue
         parts = [
             _Stretch(
@@ -364,7 +366,7 @@ def _houses_of(row: _Row, changed: Mask, beside: Mask) -> list[_Stretch]:
             )
             for first, last in _by_kind(row.kind, begin, end)
         ]
-        if all(_is_house(row, part) for part in parts):
+        if all(_is_house(row, part, apart) for part in parts):
             houses.extend(parts)
     return houses
 
@@ -401,19 +403,29 @@ def _by_kind(kind: Ints, begin: int, end: int) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _is_house(row: _Row, stretch: _Stretch) -> bool:
+def _stands_apart(row: _Row, begin: int, end: int) -> bool:
+    """Tell whether both epochs have nothing as high as a room beside some slots of a row, but not all."""
+    none = np.maximum(*(side.top for side in row.sides)) == 0
+    beside = np.concatenate([none[max(begin - _WALLS, 0) : begin], none[end : end + _WALLS]])
+    return bool(len(beside) > 0 and beside.all())
+
+
+def _is_house(row: _Row, stretch: _Stretch, apart: bool) -> bool:
     """Tell whether a changed stretch of a row is a house of the row, and no wing of its last house.
 
     What one epoch alone has between houses is one if it and they are higher than garages, and it is about as
     high as the lower of them: an extension is lower. At the end of a long row, or as half of a pair, it must
-    be as high and as deep as the house beside it, and wider than most extensions. No extension is as high as
-    a tall building, of which a street hardly shows a roof.
+    be as high and as deep as the house beside it, and wider than most extensions: as high where the house
+    beside it was seen, which may be its front alone. No extension is as high as a tall building, of which a
+    street hardly shows a roof. A house that stands ``apart`` is no extension.
     """
     if stretch.taller is None:
         return stretch.kind != _PARTLY
     begin, end = stretch.begin, stretch.end
     own, other, built = row.sides[stretch.taller], row.sides[1 - stretch.taller], row.built
     top = float(np.median(own.top[begin:end]))
+    if apart:
+        return end - begin >= _END and top >= _GARAGE
     around = (
         [slice(max(begin - gap - _WIDTH, 0), max(begin - gap, 0)) for gap in range(_WALLS + 1)],
         [slice(end + gap, end + gap + _WIDTH) for gap in range(_WALLS + 1)],
@@ -429,7 +441,12 @@ def _is_house(row: _Row, stretch: _Stretch) -> bool:
     depths = [np.count_nonzero(own.columns[slots], axis=1).mean() for slots in (slice(begin, end), beside[0])]
     if top >= _TALL:
         return bool(top >= _LEAST * tops[0] and depths[0] >= _DEEP)
-    return bool(abs(top - tops[0]) <= _SAME and depths[0] >= _ALIKE * depths[1])
+    seen = np.median(own.columns[beside[0]], axis=0) > 0
+    front, of_row = (
+        float(np.median(own.tops[slots][:, seen].max(axis=1))) for slots in (slice(begin, end), beside[0])
+    )
+    high = front >= of_row - _SAME if front > 0 else top >= tops[0] - _SAME
+    return bool(high and depths[0] >= _ALIKE * depths[1])
 
 
 def _is_half(own: _Profile, other: _Profile, built: Mask, stretch: _Stretch, top: float) -> bool:

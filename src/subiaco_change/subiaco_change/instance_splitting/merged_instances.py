@@ -17,6 +17,7 @@ from subiaco_change.geometry import column_keys
 from subiaco_change.instance_splitting.changed_houses import changed_houses
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.objects.layers import before_walls
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, height_of, join_voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
@@ -33,6 +34,8 @@ _LEFT = NUMBERS.changed_houses.left_columns
 _END = NUMBERS.changed_houses.end_front
 _ALIKE = NUMBERS.changed_houses.neighbour_share
 _PAIR = NUMBERS.changed_houses.pair_front
+_ACROSS = NUMBERS.changed_houses.across_row
+_LAYER = NUMBERS.layers.share
 
 #: The objects of *before* and of *after* that are one piece.
 Piece = tuple[tuple[ObjectInstance, ...], tuple[ObjectInstance, ...]]
@@ -160,16 +163,18 @@ def group_row_houses(
         for m, two in columns[1]
         if k != m and len(np.intersect1d(one, two)) > _SHARED * min(len(one), len(two))
     ]
-    links.extend(_rows_of_one_epoch([(_tall(b), _tall(a)) for b, a in pieces], config.parts.gap))
+    links.extend(_rows_of_one_epoch(pieces, config.parts.gap))
     joined = connect(len(pieces), np.array(links, dtype=np.int64).reshape(-1, 2))
     return [group.tolist() for group in group_indices(joined)]
 
 
-def _rows_of_one_epoch(places: Sequence[tuple[Floats, Floats]], gap: float) -> list[tuple[int, int]]:
-    """Links (positions) between buildings with places (N, 2) in both epochs that one epoch has in one row.
+def _rows_of_one_epoch(pieces: Sequence[Piece], gap: float) -> list[tuple[int, int]]:
+    """Links (positions) between buildings of both epochs that one epoch has in one row.
 
     They adjoin in one epoch and stand a house apart in the other one, or what one epoch has adjoins both.
+    Scaffolding before their walls joins no houses.
     """
+    places = [(_tall(b), _tall(a)) for b, a in pieces]
     both = [k for k, sides in enumerate(places) if all(map(len, sides))]
     links = []
     for k, m in combinations(both, 2):
@@ -180,8 +185,21 @@ def _rows_of_one_epoch(places: Sequence[tuple[Floats, Floats]], gap: float) -> l
         epoch = 0 if len(sides[0]) else 1
         if len(sides[epoch]) and not len(sides[1 - epoch]):
             beside = [m for m in both if _distance(sides[epoch], places[m][epoch]) <= gap]
-            links.extend((k, m) for m in beside if len(beside) > 1)
+            if len(beside) > 1 and not _is_layer(pieces[k], [pieces[m] for m in beside], epoch):
+                links.extend((k, m) for m in beside)
     return links
+
+
+def _is_layer(piece: Piece, beside: Sequence[Piece], epoch: int) -> bool:
+    """Tell whether what one epoch alone has stands close before the fronts of the houses beside it.
+
+    Party walls face along the row: what is new or gone between them is a house.
+    """
+    houses = [join_voxels(house[epoch]) for house in beside]
+    row = houses[-1].xyz[:, :2].mean(axis=0) - houses[0].xyz[:, :2].mean(axis=0)
+    along = row / max(float(np.linalg.norm(row)), _CELL)
+    fronts = [house.select(np.abs(house.normal[:, :2] @ along) < _ACROSS) for house in houses]
+    return bool(before_walls(join_voxels(piece[epoch]).xyz, Voxels.joined(fronts)).mean() > _LAYER)
 
 
 def _tall(objects: Sequence[ObjectInstance]) -> Floats:
@@ -260,11 +278,14 @@ def _pieces(
 ) -> list[Piece]:
     """Divide objects of both epochs by labels (N,) of their voxels (N, 2); small parts join others.
 
-    A ``changed`` (N,) house is as wide as a house, however few its voxels.
+    A ``changed`` (N,) house is as wide as a house, however few its voxels. Where no other part is large, the
+    small ones beside changed houses, such as a garage, stay and join none.
     """
     labels = np.unique(labels, return_inverse=True)[1]
     size, moved = np.bincount(labels), np.bincount(labels, changed) > 0
-    large = np.where(moved, size >= config.parts.points, size >= config.apart * size.max())
+    enough = size >= config.parts.points
+    large = np.where(moved, enough, size >= config.apart * size.max())
+    large = large if (large & ~moved).any() else enough
     if np.count_nonzero(large) < 2:
         return [sides]
     kept = large[labels]
