@@ -105,6 +105,17 @@ def test_a_house_at_the_end_of_a_row_is_as_high_as_the_fronts_that_were_seen_of_
     assert changed_places(pair[::-sign]) == ([3] if is_house else [])
 
 
+def test_fronts_of_which_no_column_is_seen_in_most_slots_are_compared_by_their_tops():
+    """The front of the row recedes by a column in every slot, up to the end house."""
+    before, after = houses([4.0] * 4), houses([4.0, 4.0, 4.0, 0.0])
+
+    def shown(voxels):
+        slot, column = (np.floor(voxels.xyz[:, k] / CELL) for k in (0, 1))
+        return (voxels.xyz[:, 0] > 3 * WIDTH) | (column == VERANDAH / CELL + slot % 14)
+
+    assert changed(after, before, shown) == [3]
+
+
 @pytest.mark.parametrize("sign", [1, -1], ids=["built", "demolished"])
 @pytest.mark.parametrize(
     ("gap", "top", "width", "is_house"),

@@ -443,7 +443,8 @@ def _is_house(row: _Row, stretch: _Stretch, apart: bool) -> bool:
         return bool(top >= _LEAST * tops[0] and depths[0] >= _DEEP)
     seen = np.median(own.columns[beside[0]], axis=0) > 0
     front, of_row = (
-        float(np.median(own.tops[slots][:, seen].max(axis=1))) for slots in (slice(begin, end), beside[0])
+        float(np.median(own.tops[slots][:, seen].max(axis=1, initial=0.0)))
+        for slots in (slice(begin, end), beside[0])
     )
     high = front >= of_row - _SAME if front > 0 else top >= tops[0] - _SAME
     return bool(high and depths[0] >= _ALIKE * depths[1])
