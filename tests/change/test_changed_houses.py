@@ -334,6 +334,20 @@ def test_a_front_that_rose_shows_also_where_one_survey_saw_much_more_behind_it()
     assert changed_places((before, after.add(seen))) == [1]
 
 
+@pytest.mark.parametrize("sign", [1, -1], ids=["built", "taken off"])
+@pytest.mark.parametrize(("storey", "places"), [(6.8, [1]), (4.5, [])], ids=["a storey", "no storey"])
+def test_a_storey_that_stands_back_behind_the_front_of_a_house_is_of_that_house(storey, places, sign):
+    """Of all houses the street shows the front alone; of the middle one later also the wall of the storey."""
+    before, after = (v.select(v.xyz[:, 1] < CELL) for v in [fronts(houses([4.0] * 3), houses([4.0] * 3))] * 2)
+    x, z = (
+        a.ravel() for a in np.meshgrid(WIDTH + np.arange(0.25, WIDTH, CELL), np.arange(2.25, storey, CELL))
+    )
+    xyz = np.column_stack([x, np.full(len(x), 2.25), z])
+    yes = np.ones(len(xyz), dtype=bool)
+    wall = Voxels(np.zeros(len(xyz), int), xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), z, yes, ~yes, yes)
+    assert changed_places((before, after.add(wall))[::sign]) == places
+
+
 @pytest.mark.parametrize(
     ("before", "after"),
     [

@@ -216,3 +216,16 @@ def test_a_garage_that_is_left_of_a_demolished_house_is_no_part_of_the_house(ear
     assert grew in told[0]
     assert gone in told[1]
     assert told[2] == SAME
+
+
+@pytest.mark.parametrize("earlier", [True, False])
+def test_a_few_points_of_a_party_wall_do_not_hide_that_a_house_of_a_pair_is_gone(earlier):
+    """Its own epoch holds it apart; the pair is too narrow to be parted by what changed."""
+    few = house(1, 5.0)
+    few = few[(few[:, 0] < WIDTH + 0.5) & (np.abs(few[:, 2] - 3.0) < 1.0) & (few[:, 1] < 2.0)]
+    full, left = [house(0, 5.0), house(1, 5.0)], [np.concatenate([house(0, 5.0), few])]
+    assert len(few) < RULES.association.parts.points
+    sides = (full, left) if earlier else (left, full)
+    told = by_place([decide_object(objects(*sides), objects(*sides[::-1]), Semantic.BUILDING, RULES)])
+    assert told[0] == SAME
+    assert (Change.REMOVED if earlier else Change.ADDED) in told[1]

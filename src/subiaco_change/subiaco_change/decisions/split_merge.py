@@ -326,9 +326,14 @@ def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
 
 
 def _as_house(piece: Piece, rules: ObjectRules) -> list[ObjectChange]:
-    """Decide a house of a row; apart in both epochs where next to nothing of it stands in one of them."""
+    """Decide a house of a row; apart in both epochs where next to nothing of it stands in one of them.
+
+    A few points, as of a party wall, are too small to be a part of anything.
+    """
     both = decide_object(*piece, Semantic.BUILDING, rules)
-    return part_hardly_overlapping([both], rules) if _remains_little(both, rules) else [both]
+    points = [sum(len(t.xyz) for t in side) for side in piece]
+    little = 0 < min(points) < rules.association.parts.points or _remains_little(both, rules)
+    return part_hardly_overlapping([both], rules) if little else [both]
 
 
 def _are_houses(parts: Sequence[ObjectChange], rules: ObjectRules) -> bool:
