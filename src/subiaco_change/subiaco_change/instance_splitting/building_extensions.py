@@ -16,7 +16,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
 from subiaco_change.objects.known_space import Empty
-from subiaco_change.objects.layers import before_walls
+from subiaco_change.objects.layers import is_layer
 from subiaco_change.objects.space_carving import are_level
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.quantiles import quantile_of
@@ -45,7 +45,6 @@ _FOOT = NUMBERS.building_extensions.foot
 _THICK = NUMBERS.building_extensions.roof_band
 _ROOF = NUMBERS.building_extensions.roof_share
 _BARE = NUMBERS.building_extensions.bare_share
-_LAYER = NUMBERS.layers.share
 _BEGINS = NUMBERS.roof_structures.foot_quantile
 _LOWEST = NUMBERS.roof_structures.lowest
 _OVER = NUMBERS.roof_structures.share
@@ -187,7 +186,7 @@ def _is_extension(
     whether that epoch met the ground there.
     """
     body, other = host[epoch], host[1 - epoch]
-    if before_walls(extension.xyz, other).mean() > _LAYER:
+    if is_layer(extension.xyz, other):
         return False
     if contact < _ADJOINS * len(extension) or _top(extension) < _ROOM:
         return False

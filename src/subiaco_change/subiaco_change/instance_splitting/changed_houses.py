@@ -125,6 +125,11 @@ class _Profile:
         shared = np.count_nonzero(self.columns & other.columns, axis=1)
         return np.asarray(shared <= _LEFT * np.count_nonzero(self.columns, axis=1))
 
+    def set_back(self, other: _Profile) -> Mask:
+        """Tell in which slots (S,) it has a storey that stands back behind a front of both epochs."""
+        higher = (other.top > 0) & (self.top > other.top + _SAME)
+        return np.asarray((self.alone >= _GONE) & (self.foot < _GONE) & higher)
+
 
 @dataclass(frozen=True)
 class _Row:
@@ -329,12 +334,11 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     gone = np.isin(kind, _ONLY + _BUT_FOOT)
     step = np.where(gone, np.inf, rise)
     built = (sides[0].top > 0) & (sides[1].top > 0) & ~gone & (kind != _PARTLY)
-    most = np.maximum(
-        *(
-            np.where(gone | _set_back(side, other), side.alone, side.above)
-            for side, other in zip(sides, sides[::-1], strict=True)
-        )
+    first, second = (
+        np.where(gone | side.set_back(other), side.alone, side.above)
+        for side, other in zip(sides, sides[::-1], strict=True)
     )
+    most = np.maximum(first, second)
     tall = np.maximum(sides[0].top, sides[1].top) >= _TALL
     row = _Row(sides, kind, built, most, step)
     houses: list[_Stretch] = []
@@ -389,17 +393,12 @@ def _kinds(sides: Sequence[_Profile]) -> Ints:
     kind = np.select([changed[1], changed[0]], [_GAINED, _LOST], _UNCHANGED)
     kind[_smoothed(foot) & (kind != _UNCHANGED)] = _PARTLY
     for epoch, side in enumerate(sides):
-        kind[_smoothed(_set_back(side, sides[1 - epoch]))] = (_LOST, _GAINED)[epoch]
-        missing = side.hardly_in(sides[1 - epoch])
+        other = sides[1 - epoch]
+        kind[_smoothed(side.set_back(other))] = (_LOST, _GAINED)[epoch]
+        missing = side.hardly_in(other)
         kind[_smoothed((side.alone >= _GONE) & missing)] = _BUT_FOOT[epoch]
         kind[_smoothed((side.alone >= _CHANGED) & missing & ~(side.foot < _GONE))] = _ONLY[epoch]
     return kind
-
-
-def _set_back(side: _Profile, other: _Profile) -> Mask:
-    """Tell in which slots (S,) an epoch alone has a storey that stands back behind a front of both."""
-    higher = (other.top > 0) & (side.top > other.top + _SAME)
-    return np.asarray((side.alone >= _GONE) & (side.foot < _GONE) & higher)
 
 
 def _by_kind(kind: Ints, begin: int, end: int) -> list[tuple[int, int]]:

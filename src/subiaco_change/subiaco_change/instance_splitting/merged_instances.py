@@ -17,7 +17,7 @@ from subiaco_change.geometry import column_keys
 from subiaco_change.instance_splitting.changed_houses import changed_houses
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.objects.layers import before_walls
+from subiaco_change.objects.layers import is_layer
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, height_of, join_voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
@@ -35,7 +35,6 @@ _END = NUMBERS.changed_houses.end_front
 _ALIKE = NUMBERS.changed_houses.neighbour_share
 _PAIR = NUMBERS.changed_houses.pair_front
 _ACROSS = NUMBERS.changed_houses.across_row
-_LAYER = NUMBERS.layers.share
 
 #: The objects of *before* and of *after* that are one piece.
 Piece = tuple[tuple[ObjectInstance, ...], tuple[ObjectInstance, ...]]
@@ -185,12 +184,12 @@ def _rows_of_one_epoch(pieces: Sequence[Piece], gap: float) -> list[tuple[int, i
         epoch = 0 if len(sides[0]) else 1
         if len(sides[epoch]) and not len(sides[1 - epoch]):
             beside = [m for m in both if _distance(sides[epoch], places[m][epoch]) <= gap]
-            if len(beside) > 1 and not _is_layer(pieces[k], [pieces[m] for m in beside], epoch):
+            if len(beside) > 1 and not _is_before_fronts(pieces[k], [pieces[m] for m in beside], epoch):
                 links.extend((k, m) for m in beside)
     return links
 
 
-def _is_layer(piece: Piece, beside: Sequence[Piece], epoch: int) -> bool:
+def _is_before_fronts(piece: Piece, beside: Sequence[Piece], epoch: int) -> bool:
     """Tell whether what one epoch alone has stands close before the fronts of the houses beside it.
 
     Party walls face along the row: what is new or gone between them is a house.
@@ -199,7 +198,7 @@ def _is_layer(piece: Piece, beside: Sequence[Piece], epoch: int) -> bool:
     row = houses[-1].xyz[:, :2].mean(axis=0) - houses[0].xyz[:, :2].mean(axis=0)
     along = row / max(float(np.linalg.norm(row)), _CELL)
     fronts = [house.select(np.abs(house.normal[:, :2] @ along) < _ACROSS) for house in houses]
-    return bool(before_walls(join_voxels(piece[epoch]).xyz, Voxels.joined(fronts)).mean() > _LAYER)
+    return is_layer(join_voxels(piece[epoch]).xyz, Voxels.joined(fronts))
 
 
 def _tall(objects: Sequence[ObjectInstance]) -> Floats:
@@ -278,8 +277,8 @@ def _pieces(
 ) -> list[Piece]:
     """Divide objects of both epochs by labels (N,) of their voxels (N, 2); small parts join others.
 
-    A ``changed`` (N,) house is as wide as a house, however few its voxels. Where no other part is large, the
-    small ones beside changed houses, such as a garage, stay and join none.
+    A ``changed`` (N,) house is as wide as a house, however few its voxels. If all large parts are changed
+    houses, small parts are not joined to them: the garage beside a demolished house is an object of its own.
     """
     labels = np.unique(labels, return_inverse=True)[1]
     size, moved = np.bincount(labels), np.bincount(labels, changed) > 0

@@ -12,7 +12,7 @@ from subiaco_change.association.config import PartConfig
 from subiaco_change.geometry import column_keys, in_outline_of
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
-from subiaco_change.objects.layers import before_walls, walls_of_both
+from subiaco_change.objects.layers import is_layer, walls_of_both
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
@@ -23,7 +23,6 @@ _CELL = NUMBERS.one_epoch_parts.cell
 _WELL_KNOWN = NUMBERS.one_epoch_parts.observed_voxels
 _FAR = NUMBERS.one_epoch_parts.far_share
 _ABOVE = NUMBERS.one_epoch_parts.overhang
-_LAYER = NUMBERS.layers.share
 _TOP = NUMBERS.felled_crowns.top_reach
 _REMAINS = NUMBERS.one_epoch_parts.remains_inside
 _OBJECT = NUMBERS.one_epoch_parts.object_voxels
@@ -191,20 +190,13 @@ def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
-    layer = _is_layer(obj, piece)
+    layer = obj.semantic is Semantic.BUILDING and is_layer(voxels.xyz[piece], voxels)
     if lowest > config.foot and not (lowest <= config.hidden_foot and (layer or _is_tree(obj, piece))):
         return False
     inside = _below(obj, piece, column) & voxels.observed
     if layer:
         inside &= ~walls_of_both(voxels)
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
-
-
-def _is_layer(obj: ObjectInstance, piece: Ints) -> bool:
-    """Tell whether a piece stands close before a wall of its building that both epochs have."""
-    if obj.semantic is not Semantic.BUILDING:
-        return False
-    return bool(before_walls(obj.voxels.xyz[piece], obj.voxels).mean() > _LAYER)
 
 
 @switchable("hidden_trunks", never)

@@ -20,6 +20,7 @@ _FRONT = NUMBERS.layers.front
 _AHEAD = NUMBERS.layers.ahead
 _NEAREST = NUMBERS.layers.nearest_walls
 _STEEP = NUMBERS.layers.wall_normal
+_SHARE = NUMBERS.layers.share
 
 
 def walls_of_both(voxels: Voxels) -> Mask:
@@ -70,3 +71,8 @@ def before_walls(places: Floats, voxels: Voxels, outside: Empty | None = None) -
     before = _before_none(places)
     before[place] = True
     return before
+
+
+def is_layer(places: Floats, voxels: Voxels) -> bool:
+    """Tell whether most of an object with places (N, 3) [m] lies close before walls that both epochs have."""
+    return bool(before_walls(places, voxels).mean() > _SHARE)
