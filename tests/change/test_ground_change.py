@@ -326,6 +326,16 @@ def test_a_patch_that_varies_by_more_than_it_moved_is_none():
     assert len(patches(lambda x, y: np.where(pit(x, y), -0.25, 0.0))) == 1
 
 
+def test_a_patch_that_varies_nearly_as_much_as_it_moved_is_none_and_a_high_cone_of_earth_is_one():
+    """Three fifths of the cells rose by 0.25 m and one fifth by 0.85 m; and a heap of 4 m that ends in a point."""
+    step = np.random.default_rng(7).choice([0.2, 0.25, 0.25, 0.25, 0.85], (100, 100))
+    yard = box(30, 30, 8, 8)
+    assert patches(lambda x, y: np.where(yard(x, y), step[x.astype(int), y.astype(int)], 0.0)) == ()
+    heap = patches(lambda x, y: np.maximum(4.0 - 0.7 * np.hypot(x - 34.0, y - 34.0), 0.0))
+    assert [found.change for found in heap] == [Change.INCREASED]
+    assert heap[0].dz / heap[0].dz_spread > 1.24
+
+
 def with_points(view, xyz, semantic):
     """The epoch with further points of a class."""
     n = len(xyz)

@@ -53,10 +53,10 @@ class GroundChangeConfig(StrictModel):
         1.2, gt=0, description="Limit of a ground change as a multiple of the level of detection (paper)"
     )
     evenness: float = Field(
-        1.0,
+        1.2,
         ge=0,
         description="Smallest ratio of the median height difference of a patch to the standard deviation of "
-        "its cells",
+        "its cells (a cone of earth, however high, has 1.24)",
     )
     max_spread: float = Field(
         0.12,

@@ -97,9 +97,9 @@ def _stands_apart(
 ) -> bool:
     """Tell a house beside another one from a wing.
 
-    Nothing of a house but a fence lies at the walls of its neighbour, and the epoch that holds both saw the
-    gap open. Their eaves may meet above it. Nor does a house hang on another one by something smaller than
-    itself between them.
+    The walls of a wing meet those of its house somewhere above a fence. Between two houses the epoch that
+    holds both saw the gap open, though eaves may reach over it. Nor does a house hang on another one by
+    something smaller than itself between them.
     """
     epoch = 0 if len(pairs[number][0]) else 1
     extension, body = pairs[number][epoch], pairs[host][epoch]
@@ -112,7 +112,7 @@ def _stands_apart(
     else:
         links = [pairs[e][epoch] for e, h in taken.items() if h == host and len(pairs[e][epoch])]
         return sum(map(_enclosed_volume, links)) < _enclosed_volume(extension)
-    if (part.height[distance < _JOINT] > _FENCE).any() or extension.height.min() > _FOOT:
+    if _meet(part, side) or extension.height.min() > _FOOT:
         return False
     middle = 0.5 * (part.xyz[near, :2] + side.xyz[nearest[near], :2])
     open_ = ground.bare(epoch)(middle)
@@ -120,6 +120,12 @@ def _stands_apart(
     if empty is not None:
         open_ |= empty(np.column_stack([middle, part.xyz[near, 2]]))
     return bool(open_.mean() >= _OPEN)
+
+
+def _meet(part: Voxels, side: Voxels) -> bool:
+    """Tell whether two bodies come together above the height of a fence, and not only one above the other."""
+    tall = [v.xyz[v.height > _FENCE] for v in (part, side)]
+    return all(map(len, tall)) and bool((cKDTree(tall[1]).query(tall[0])[0] < _JOINT).any())
 
 
 def _touching_extensions(

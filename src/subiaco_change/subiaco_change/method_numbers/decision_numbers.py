@@ -111,9 +111,9 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Horizontal component of a normal from which its azimuth counts, as a ratio",
     )
     joint: float = Field(
-        0.7,
-        description="Distance from a building within which something of a wing lies [m]; between the voxels "
-        "of two walls that meet is up to half a metre",
+        0.6,
+        description="Distance in space between two bodies that meet [m]; between the voxels of two walls that "
+        "meet is up to half a metre",
     )
     open_gap: float = Field(
         0.5,
