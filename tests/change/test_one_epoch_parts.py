@@ -256,7 +256,7 @@ def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing()
     assert find_building_extensions([(first, first), (last, last), (voxels(middle), NONE)], CONFIG) == {}
 
 
-@pytest.mark.parametrize(("gap", "wing"), [(0.7, False), (0.2, True)], ids=["an open gap", "a wing"])
+@pytest.mark.parametrize(("gap", "wing"), [(0.7, False), (0.05, True)], ids=["an open gap", "a wing"])
 def test_eaves_over_an_open_gap_join_no_garage_to_the_house(gap, wing):
     eaves, garage = block((10.0, 0.0, 3.0), (10.5, 8.0, 3.25)), np.add(walls(6, 6, 2.8), (10 + gap, 0, 0))
     house, built = (
@@ -265,6 +265,18 @@ def test_eaves_over_an_open_gap_join_no_garage_to_the_house(gap, wing):
     )
     house = house.add(voxels(eaves))
     found = find_building_extensions([(house, house), (NONE, built)], CONFIG, open_between(10.0, 10 + gap))
+    assert bool(found) == wing
+
+
+@pytest.mark.parametrize(("eaves", "wing"), [(4.5, False), (2.5, True)], ids=["above", "at its wall"])
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+def test_edges_of_eaves_high_above_a_garage_join_it_to_no_house(eaves, wing, taken_away):
+    """The edge of a roof is as steep as a wall; the wall below it is 0.7 m from the garage."""
+    edge = block((10.25, 0.0, eaves), (10.5, 8.0, eaves + 0.25))
+    house = voxels(np.concatenate([HOUSE, edge]))
+    garage = voxels(np.add(walls(6, 6, 2.8), (10.7, 0.0, 0.0)))
+    pair = (garage, NONE) if taken_away else (NONE, garage)
+    found = find_building_extensions([(house, house), pair], CONFIG, open_between(10.0, 10.9))
     assert bool(found) == wing
 
 
