@@ -37,12 +37,20 @@ from subiaco_change.decisions.trail_shapes import (
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.view_of_crowns import within_view
 from subiaco_change.geometry import in_box_around
+from subiaco_change.instance_splitting.building_extensions import is_open_roof
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
 from subiaco_change.objects.known_space import ALL_FREE, KnownSpaces
-from subiaco_change.objects.measures import MeasureConfig, Measures, absence, measure, observed_fraction
-from subiaco_change.objects.space_carving import Interval
+from subiaco_change.objects.measures import (
+    MeasureConfig,
+    Measures,
+    absence,
+    footprint_sides,
+    measure,
+    observed_fraction,
+)
+from subiaco_change.objects.space_carving import Interval, are_level
 from subiaco_change.objects.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.segmentation.config import VehicleConfig
 from subiaco_geo.codes import ONE_EPOCH, Change, Semantic
@@ -130,7 +138,8 @@ def decide_object(
         plant = measure_plant(*compared, measures, rules.plants, rules.spaces)
         measures = _with_tops(measures, plant, lod)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
-    decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
+    roof = building and is_roof_on_posts(before, after, rules)
+    decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched, roof)
     if building and decision.change in (Change.INCREASED, Change.DECREASED):
         measures = replace(measures, delta_v=shown_volume(measures, rules.decisions.building).middle)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
@@ -162,6 +171,21 @@ def decide_object(
     in_lane = lane_share_of_claim(decision, parts, rules.lanes, rules.decisions)
     sides = tuple(before), tuple(after)
     return ObjectChange(*sides, semantic, kind, measures, decision, plant, in_lane, doubt)
+
+
+def is_roof_on_posts(
+    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], rules: ObjectRules
+) -> bool:
+    """Tell the roof of a carport that one epoch alone has from a fragment of a wall or of eaves.
+
+    It is level and wide, and nothing is enclosed below it.
+    """
+    if before and after:
+        return False
+    voxels, bare = join_voxels((*before, *after)), rules.ground.bare(0 if before else 1)
+    width = footprint_sides(voxels.xyz)[0] + rules.ground.cell  # places are middles of cells
+    wide = width >= rules.measures.carving.roof_width
+    return wide and bool(are_level(voxels).mean() > 0.5) and is_open_roof(voxels, bare)
 
 
 def _with_tops(measures: Measures, plant: PlantMeasures, lod: float) -> Measures:

@@ -43,6 +43,7 @@ def decide(
     lod: float,
     config: DecisionConfig,
     plant: Callable[[], Decision] | None = None,
+    roof: bool = False,
 ) -> Decision:
     """Decide one object.
 
@@ -57,12 +58,15 @@ def decide(
     config : DecisionConfig
     plant : callable, optional
         Decides a plant of both epochs.
+    roof : bool, optional
+        Whether a building of one epoch is a roof on posts, which encloses no volume.
     """
     if not _enough_seen(measures, config):
         return Decision(Change.UNOBSERVED, _unobserved(measures, config), 1.0 - measures.observed_fraction)
     if not (in_before and in_after):
         decision = _single(in_after, measures, config)
-        return _enclosing(decision, measures, config) if semantic is Semantic.BUILDING else decision
+        encloses = semantic is Semantic.BUILDING and not roof
+        return _enclosing(decision, measures, config) if encloses else decision
     if semantic in (Semantic.MOBILE, Semantic.OTHER):
         return _mobile(measures, config)
     return _compare(semantic, measures, lod, config, plant)

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import shapely
@@ -15,7 +16,7 @@ from subiaco_change.association.config import AssociationConfig
 from subiaco_change.association.costs import overlap_counts
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
+from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object, is_roof_on_posts
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.vegetation_null import no_null
@@ -24,6 +25,7 @@ from subiaco_change.instance_splitting.building_extensions import (
     gaps_to_host,
     is_smooth_surface,
     remoteness,
+    stands_apart,
 )
 from subiaco_change.instance_splitting.hedge_sections import HedgeSection, changed_sections, section_labels
 from subiaco_change.instance_splitting.merged_instances import (
@@ -275,15 +277,24 @@ def _first_free(changes: Sequence[ObjectChange]) -> int:
 
 @switchable("row_houses_at_walls", first_argument)
 def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Decide the houses of a row one by one where they fared differently, parted as either epoch shows."""
+    """Decide the houses of a row one by one where they fared differently, parted as either epoch shows.
+
+    The roof of a carport between two houses makes no row of them.
+    """
     if rules.association.parts.points == 0:
         return list(changes)
-    numbers = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
+    numbers = [
+        i
+        for i, change in enumerate(changes)
+        if change.semantic is Semantic.BUILDING and not is_roof_on_posts(change.before, change.after, rules)
+    ]
     pieces = [(changes[i].before, changes[i].after) for i in numbers]
     claimed = [changes[i].decision.change in ONE_EPOCH for i in numbers]
+    pairs = [_bodies(changes[i], rules.measures.carving.room) for i in numbers]
+    apart = partial(stands_apart, pairs=pairs, taken={}, config=rules.association.parts, ground=rules.ground)
     following = _first_free(changes)
     told: dict[int, list[ObjectChange]] = {i: [change] for i, change in enumerate(changes)}
-    for row in group_row_houses(pieces, claimed, rules.association):
+    for row in group_row_houses(pieces, claimed, rules.association, apart):
         members = [numbers[k] for k in row]
         before, after = ([t for i in members for t in getattr(changes[i], e)] for e in ("before", "after"))
         if not before or not after:

@@ -74,7 +74,7 @@ def find_building_extensions(
     known = list(pairs)
     extensions: dict[int, int] = {}
     while True:
-        apart = partial(_stands_apart, pairs=pairs, taken=extensions, config=config, ground=ground)
+        apart = partial(stands_apart, pairs=pairs, taken=extensions, config=config, ground=ground)
         found = _touching_extensions(known, extensions, config, apart, ground)
         if not found:
             return extensions
@@ -87,7 +87,7 @@ def find_building_extensions(
 
 
 @switchable("gap_beside_house", never)
-def _stands_apart(
+def stands_apart(
     number: int,
     host: int,
     pairs: Sequence[tuple[Voxels, Voxels]],
@@ -201,7 +201,7 @@ def _is_extension(
     if share >= config.subordinate and contact < _ROUND * len(extension):
         stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
         return applies("part_as_large_as_building", stood)
-    return not (_is_elevated(extension, body) or _is_open_roof(extension, bare))
+    return not (_is_elevated(extension, body) or is_open_roof(extension, bare))
 
 
 @switchable("smooth_extensions", never)
@@ -252,8 +252,11 @@ def _is_elevated(extension: Voxels, host: Voxels) -> bool:
 
 
 @switchable("open_roofs", never)
-def _is_open_roof(extension: Voxels, bare: Empty) -> bool:
-    """Tell a carport or a pergola from a wing: little stands below its roof, and the ground there was met."""
+def is_open_roof(extension: Voxels, bare: Empty) -> bool:
+    """Tell a carport or a pergola from a wing: little stands below its roof, and the ground there was met.
+
+    ``bare`` tells of places (N, 2) whether the epoch that has it met the ground there.
+    """
     roof = extension.height > _top(extension) - _THICK
     return bool(roof.mean() >= _ROOF and bare(extension.xyz[roof, :2]).mean() >= _BARE)
 

@@ -6,7 +6,7 @@ joins them in one epoch alone is a house of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -17,6 +17,7 @@ from subiaco_change.geometry import column_keys
 from subiaco_change.instance_splitting.changed_houses import changed_houses
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import never
 from subiaco_change.objects.layers import is_layer
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, height_of, join_voxels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
@@ -128,7 +129,10 @@ def separate_bodies(
 
 
 def group_row_houses(
-    pieces: Sequence[Piece], claimed: Sequence[bool], config: AssociationConfig
+    pieces: Sequence[Piece],
+    claimed: Sequence[bool],
+    config: AssociationConfig,
+    apart: Callable[[int, int], bool] = never,
 ) -> list[list[int]]:
     """Group matches (positions) into rows of houses.
 
@@ -139,6 +143,8 @@ def group_row_houses(
     claimed : sequence of bool
         Which of them are new or gone.
     config : AssociationConfig
+    apart : callable, optional
+        Tells of a building of one epoch and of one of both (positions) whether a gap between them is open.
 
     Returns
     -------
@@ -162,28 +168,31 @@ def group_row_houses(
         for m, two in columns[1]
         if k != m and len(np.intersect1d(one, two)) > _SHARED * min(len(one), len(two))
     ]
-    links.extend(_rows_of_one_epoch(pieces, config.parts.gap))
+    links.extend(_rows_of_one_epoch(pieces, config.parts.gap, apart))
     joined = connect(len(pieces), np.array(links, dtype=np.int64).reshape(-1, 2))
     return [group.tolist() for group in group_indices(joined)]
 
 
-def _rows_of_one_epoch(pieces: Sequence[Piece], gap: float) -> list[tuple[int, int]]:
+def _rows_of_one_epoch(
+    pieces: Sequence[Piece], gap: float, apart: Callable[[int, int], bool]
+) -> list[tuple[int, int]]:
     """Links (positions) between buildings of both epochs that one epoch has in one row.
 
     They adjoin in one epoch and stand a house apart in the other one, or what one epoch has adjoins both.
-    Scaffolding before their walls joins no houses.
+    Scaffolding before their walls joins no houses, nor does a garage between them with gaps beside it.
     """
     places = [(_tall(b), _tall(a)) for b, a in pieces]
     both = [k for k, sides in enumerate(places) if all(map(len, sides))]
     links = []
     for k, m in combinations(both, 2):
-        apart = [_distance(one, other) for one, other in zip(places[k], places[m], strict=True)]
-        if min(apart) <= gap and max(apart) >= _FRONT:
+        gaps = [_distance(one, other) for one, other in zip(places[k], places[m], strict=True)]
+        if min(gaps) <= gap and max(gaps) >= _FRONT:
             links.append((k, m))
     for k, sides in enumerate(places):
         epoch = 0 if len(sides[0]) else 1
         if len(sides[epoch]) and not len(sides[1 - epoch]):
-            beside = [m for m in both if _distance(sides[epoch], places[m][epoch]) <= gap]
+            near = [m for m in both if _distance(sides[epoch], places[m][epoch]) <= gap]
+            beside = [m for m in near if not apart(k, m)]
             if len(beside) > 1 and not _is_before_fronts(pieces[k], [pieces[m] for m in beside], epoch):
                 links.extend((k, m) for m in beside)
     return links
