@@ -7,10 +7,11 @@ import pytest
 
 from subiaco_change.association.config import AssociationConfig
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.object_decision import ObjectRules, decide_object
+from subiaco_change.decisions.object_decision import ObjectRules, decide_object, is_roof_on_posts
 from subiaco_change.decisions.split_merge import split_row_houses
 from subiaco_change.instance_splitting.merged_instances import group_row_houses
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.objects.column_volumes import NO_COLUMNS, OpenGround, ground_columns
 from subiaco_change.objects.measures import MeasureConfig
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Change, Semantic
@@ -229,3 +230,62 @@ def test_a_few_points_of_a_party_wall_do_not_hide_that_a_house_of_a_pair_is_gone
     told = by_place([decide_object(objects(*sides), objects(*sides[::-1]), Semantic.BUILDING, RULES)])
     assert told[0] == SAME
     assert (Change.REMOVED if earlier else Change.ADDED) in told[1]
+
+
+def between_houses(roof_alone=False):
+    """A garage 0.45 m from the houses at places 0 to 1 and 3 of a row, or a roof on posts that meets both."""
+    gap = 0.0 if roof_alone else 0.45
+    x, y, z = np.linspace(12.0 + gap, 17.99 - gap, 11), np.arange(0.25, 6.0, 0.5), np.arange(0.25, 2.8, 0.5)
+    xyz = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+    roof, rim = xyz[:, 2] == z[-1], np.isin(xyz[:, 0], x[[0, -1]]) | np.isin(xyz[:, 1], y[[0, -1]])
+    posts = np.isin(xyz[:, 0], x[[0, -1]]) & np.isin(xyz[:, 1], y[[0, -1]])
+    made = xyz[roof | (posts if roof_alone else rim)]
+    return made, np.where((made[:, 2] == z[-1])[:, None], (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("roof_alone", [False, True], ids=["garage", "carport"])
+@pytest.mark.parametrize("earlier", [False, True], ids=["new", "gone"])
+def test_what_is_built_between_two_houses_has_a_row_of_its_own_though_a_third_one_was_raised(
+    roof_alone, earlier
+):
+    """An open gap parts a garage from both houses; a carport meets both, with open ground below its roof."""
+    made, normal = between_houses(roof_alone)
+    old, new = (row((high, 5.0, 0.0, 5.0), [[0, 1], [3]]) for high in (5.0, 8.0))
+    sides = (old, [*new, made])
+    before, after = objects(*sides), objects(*sides[::-1])
+    after[2] = replace(after[2], voxels=replace(after[2].voxels, normal=normal))
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(11.75, 18.5, 0.25), np.arange(0.0, 6.5, 0.25)))
+    met = ground_columns(np.column_stack([x, y, np.zeros(len(x))]), 0.5)
+    rules = replace(RULES, ground=OpenGround(*((met, NO_COLUMNS) if earlier else (NO_COLUMNS, met))))
+    pairs = [([before[0]], [after[0]]), ([before[1]], [after[1]]), ([], [after[2]])]
+    pairs = [pair[::-1] for pair in pairs] if earlier else pairs
+    found = split_row_houses([decide_object(*pair, Semantic.BUILDING, rules) for pair in pairs], rules)
+    own = [c for c in found if c.decision.change is (Change.REMOVED if earlier else Change.ADDED)]
+    assert [len(t.xyz) for c in own for t in (*c.before, *c.after)] == [len(made)]
+    raised = Change.DECREASED if earlier else Change.INCREASED
+    assert sorted(c.decision.change for c in found if c not in own) == sorted(
+        [raised, *2 * [Change.UNCHANGED]]
+    )
+
+
+@pytest.mark.parametrize(("width", "wide"), [(3.0, True), (1.0, False)], ids=["carport", "eaves"])
+def test_a_new_roof_over_open_ground_is_claimed_though_it_encloses_nothing_and_eaves_are_none(width, wide):
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0.25, 6.0, 0.5), np.arange(0.25, width, 0.5)))
+    post = np.column_stack([np.full((5, 2), 0.25), np.arange(0.0, 2.5, 0.5)])
+    roof = np.concatenate([np.column_stack([x, y, np.full(len(x), 2.6)]), post])
+    (new,) = objects([roof], [roof + 50.0])
+    normal = np.where(roof[:, 2:] > 2.5, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    new = replace(new, voxels=replace(new.voxels, normal=normal))
+    met = ground_columns(np.column_stack([x, y, np.zeros(len(x))]), 0.5)
+    seen = (
+        lambda p: p[:, 2] > -1.0,
+        lambda p: p[:, 2] < 2.3,
+    )  # free: all of it before, the space below after
+    rules = replace(RULES, ground=OpenGround(NO_COLUMNS, met, seen))
+    assert is_roof_on_posts([], [new], rules) is wide
+    if wide:
+        assert decide_object([], [new], Semantic.BUILDING, rules).decision.change is Change.ADDED
+    with rules_switched_off(["open_roofs"]):
+        assert not is_roof_on_posts([], [new], rules)
+        if wide:
+            assert decide_object([], [new], Semantic.BUILDING, rules).decision.change is Change.UNOBSERVED

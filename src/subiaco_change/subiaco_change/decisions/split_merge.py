@@ -16,7 +16,12 @@ from subiaco_change.association.config import AssociationConfig
 from subiaco_change.association.costs import overlap_counts
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object, is_roof_on_posts
+from subiaco_change.decisions.object_decision import (
+    ObjectChange,
+    ObjectRules,
+    decide_object,
+    is_roof_on_posts,
+)
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.vegetation_null import no_null
