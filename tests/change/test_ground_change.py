@@ -327,7 +327,7 @@ def test_a_patch_that_varies_by_more_than_it_moved_is_none():
 
 
 def test_a_patch_that_varies_nearly_as_much_as_it_moved_is_none_and_a_high_cone_of_earth_is_one():
-    """Three fifths of the cells rose by 0.25 m and one fifth by 0.85 m; and a heap of 4 m that ends in a point."""
+    """Most cells of a yard rose by 0.25 m and a fifth by 0.85 m; a heap of 4 m ends in a point."""
     step = np.random.default_rng(7).choice([0.2, 0.25, 0.25, 0.25, 0.85], (100, 100))
     yard = box(30, 30, 8, 8)
     assert patches(lambda x, y: np.where(yard(x, y), step[x.astype(int), y.astype(int)], 0.0)) == ()

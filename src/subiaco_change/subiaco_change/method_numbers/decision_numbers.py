@@ -112,8 +112,8 @@ class BuildingExtensionsNumbers(StrictModel):
     )
     joint: float = Field(
         0.6,
-        description="Distance in space between two bodies that meet [m]; between the voxels of two walls that "
-        "meet is up to half a metre",
+        description="Distance in space between two bodies that meet [m]; between the voxels of two walls "
+        "that meet is up to half a metre",
     )
     open_gap: float = Field(
         0.5,

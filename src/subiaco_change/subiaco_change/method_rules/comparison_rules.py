@@ -548,8 +548,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "open_roofs",
         _HERE,
-        "A roof on posts, with the ground seen below it, is a carport or a pergola: no extension of the building"
-        " beside it, and claimed although it encloses nothing.",
+        "A roof on posts, with the ground seen below it, is a carport or a pergola: no extension of the"
+        " building beside it, and claimed although it encloses nothing.",
         (
             "method_numbers.building_extensions.roof_band",
             "method_numbers.building_extensions.roof_share",
