@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -134,8 +135,8 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
     column = column_keys(voxels.xyz, _CELL)
     far = plain.observed_unoccupied
     count = 0
-    for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
-        piece = members[group]
+    groups = group_indices(voxel_clusters(voxels.xyz[members], config.gap))
+    for piece in _on_trunks(obj, [members[group] for group in groups], column):
         whole = _stands(obj, piece, column, alone, config)
         for part in [piece] if whole else _free_columns(obj, piece, column, alone, config):
             if far[part].mean() >= _FAR and (whole or _stands(obj, part, column, alone, config)):
@@ -144,6 +145,26 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
     if count == 0:
         return labels
     return _with_unseen(obj, _with_remains(obj, labels, config), config)
+
+
+def _on_trunks(obj: ObjectInstance, pieces: Sequence[Ints], column: Ints) -> list[Ints]:
+    """Join the crown of a tree, of voxels of a plant, to the trunk that stands apart below it.
+
+    Between both, leaves or parked cars may hide the trunk.
+    """
+    if obj.semantic is not Semantic.VEGETATION or len(pieces) < 2:
+        return list(pieces)
+    height = obj.voxels.height
+    low, high = ([float(of(height[piece])) for piece in pieces] for of in (np.min, np.max))
+    below = [
+        (trunk, crown)
+        for crown, trunk in permutations(range(len(pieces)), 2)
+        if high[trunk] < low[crown]
+        and np.isin(column[pieces[trunk]], column[pieces[crown]]).all()
+        and _is_tree(obj, pieces[crown])
+    ]
+    joined = connect(len(pieces), np.array(below, dtype=np.int64).reshape(-1, 2))
+    return [np.sort(np.concatenate([pieces[k] for k in group])) for group in group_indices(joined)]
 
 
 def _with_remains(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
