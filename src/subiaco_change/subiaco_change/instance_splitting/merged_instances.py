@@ -281,6 +281,13 @@ def _is_wing(
     return bool(own[row] < (_PAIR if shallow else _END))
 
 
+def _of_most(obj: ObjectInstance, labels: Ints) -> Ints:
+    """Return one label for all voxels (M,) of what one epoch alone has, as of a garage between two houses."""
+    if obj.voxels.observed_unoccupied.mean() <= 0.5:
+        return labels
+    return np.full_like(labels, np.bincount(labels).argmax())
+
+
 def _pieces(
     sides: Piece, xy: Floats, labels: Ints, changed: Mask, config: AssociationConfig, following: int
 ) -> list[Piece]:
@@ -305,8 +312,10 @@ def _pieces(
     ]
     for epoch, side in enumerate(sides):
         for obj in side:
-            own, labels = labels[: len(obj.voxels)], labels[len(obj.voxels) :]
-            parts = _along(obj, own, following)
+            count = len(obj.voxels)
+            own, labels = labels[:count], labels[count:]
+            of_house, changed = changed[:count], changed[count:]
+            parts = _along(obj, own if of_house.any() else _of_most(obj, own), following)
             for number, piece in parts:
                 found[number][epoch].append(piece)
             following += len(parts)
