@@ -26,6 +26,7 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
     join_samples,
     sigma_of,
 )
+from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import EpochView
 from subiaco_change.records import Registration
 from subiaco_change.tiling.alignment import TileLods, city_grid, load_sigma
@@ -79,16 +80,22 @@ def sigma_field(
 
 
 def compare_ground(
-    before: EpochView, after: EpochView, config: GroundChangeConfig
+    before: EpochView,
+    after: EpochView,
+    config: GroundChangeConfig,
+    empty: tuple[Empty | None, Empty | None] = (None, None),
 ) -> GroundComparison | None:
-    """Compare the ground of two epochs of one tile; None where they share none."""
+    """Compare the ground of two epochs of one tile; None where they share none.
+
+    ``empty``: which places the beams of either epoch went through.
+    """
     xy = [view.xyz[view.semantic == Semantic.GROUND, :2] for view in (before, after)]
     if min(map(len, xy)) == 0:
         return None
     both = np.concatenate(xy)
     corner = np.floor(both.min(axis=0) / config.report_cell) * config.report_cell
     columns, rows = (np.floor((both.max(axis=0) - corner) / config.cell).astype(int) + 1).tolist()
-    cells = difference_cells(before, after, corner, (rows, columns), config)
+    cells = difference_cells(before, after, corner, (rows, columns), config, empty)
     if not np.isfinite(cells.dz).any():
         return None
     patch, patches = find_patches(cells, corner, config)

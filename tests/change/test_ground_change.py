@@ -267,6 +267,43 @@ def test_a_trench_whose_floor_its_edge_hides_is_found_by_its_far_wall():
     assert [p.change for p in filled.patches] == [Change.INCREASED]
 
 
+@pytest.mark.parametrize(("depth", "whole"), [(1.0, True), (0.4, False)], ids=["through it", "above it"])
+@pytest.mark.parametrize("filled", [False, True], ids=["dug", "filled"])
+def test_the_floor_of_a_pit_that_its_edge_hides_is_known_where_beams_went_through_the_old_ground(
+    depth, whole, filled
+):
+    """Of the floor of a pit of 100 m2, 1 m deep, 40 m2 were met; before it beams went ``depth`` below."""
+    pit, met = box(30, 30, 10, 10), box(30, 36, 10, 4)
+    dug = view(lambda x, y: -1.0 * pit(x, y), seed=2)
+    x, y, _ = dug.xyz.T
+    kept = ~pit(x, y) | met(x, y)
+    dug = EpochView(*(v[kept] for v in list(vars(dug).values())[:7]))
+
+    def empty(places):
+        above_floor = places[:, 2] > 0.03 * places[:, 0] - depth
+        return pit(places[:, 0], places[:, 1]) & above_floor
+
+    epochs, saw = (view(seed=1), dug), (None, empty)
+    if filled:
+        epochs, saw = epochs[::-1], saw[::-1]
+    (found,) = compare_ground(*epochs, GroundChangeConfig(), saw).patches
+    assert found.change is (Change.INCREASED if filled else Change.DECREASED)
+    assert abs(found.dz) == pytest.approx(1.0, abs=0.05)
+    assert found.area == pytest.approx(100 if whole else 45, rel=0.12)
+    with rules_switched_off(["seen_below_ground"]):
+        assert compare_ground(*epochs, GroundChangeConfig(), saw).patches[0].area < 55
+
+
+def test_free_space_below_the_old_ground_alone_is_no_patch():
+    """Nothing says how deep a pit is of which neither floor nor wall was met."""
+    pit, before, after = box(30, 30, 10, 10), view(seed=1), view(seed=2)
+    kept = ~pit(*after.xyz[:, :2].T)
+    after = EpochView(*(v[kept] for v in list(vars(after).values())[:7]))
+    inside = box(31, 31, 8, 8)
+    saw = (None, lambda places: inside(places[:, 0], places[:, 1]))
+    assert compare_ground(before, after, GroundChangeConfig(), saw).patches == ()
+
+
 def test_between_scan_lines_far_apart_no_pit_hides_its_floor():
     after = trench(view(seed=2), lambda x, y: np.mod(y, 4.0) < 0.5)
     found = compare_ground(view(seed=1), after, GroundChangeConfig())

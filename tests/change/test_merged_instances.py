@@ -243,6 +243,20 @@ def between_houses(roof_alone=False):
     return made, np.where((made[:, 2] == z[-1])[:, None], (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 
 
+def test_a_garage_built_onto_one_of_two_houses_is_not_divided_between_both():
+    """It meets the left one, and its eaves those of the right one; a third house of the row was raised."""
+    made = between_houses()[0] - (0.45, 0.0, 0.0)
+    eaves = np.column_stack([np.full(12, 17.9), np.arange(0.25, 6.0, 0.5), np.full(12, 2.75)])
+    old, new = (row((high, 5.0, 0.0, 5.0), [[0, 1], [3]]) for high in (5.0, 8.0))
+    sides = (old, [*new, np.concatenate([made, eaves])])
+    before, after = objects(*sides), objects(*sides[::-1])
+    pairs = [([before[0]], [after[0]]), ([before[1]], [after[1]]), ([], [after[2]])]
+    found = split_row_houses([decide_object(*pair, Semantic.BUILDING, RULES) for pair in pairs], RULES)
+    assert len(found) > 2
+    garage = [len(t.xyz) for c in found for t in c.after if 12 < t.xyz[:, 0].mean() < 18]
+    assert garage == [len(made) + len(eaves)]
+
+
 @pytest.mark.parametrize("roof_alone", [False, True], ids=["garage", "carport"])
 @pytest.mark.parametrize("earlier", [False, True], ids=["new", "gone"])
 def test_what_is_built_between_two_houses_has_a_row_of_its_own_though_a_third_one_was_raised(

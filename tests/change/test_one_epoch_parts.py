@@ -99,6 +99,19 @@ def test_a_crown_that_touches_another_is_a_tree_if_it_has_a_top_of_its_own(end, 
         assert len(split_one_epoch_parts([made], CONFIG)) == 1
 
 
+@pytest.mark.parametrize(
+    ("end", "top", "joined"), [(8, 7.0, True), (5.5, 4.0, False)], ids=["a tree", "the side of a crown"]
+)
+def test_a_felled_tree_is_one_object_with_its_trunk_though_leaves_hid_what_joins_both(end, top, joined):
+    """Its crown touches that of a tree that still stands. A bin below a trimmed crown is no trunk."""
+    standing, crown = block((0, 0, 1.5), (4, 4, 5)), block((4, 0, 3.0), (end, 4, top))
+    below = block((4.5, 1, 0), (5.5, 2, 1.5))
+    made = obj([(standing, True), (crown, False), (below, False)])
+    rest, *parts = split_one_epoch_parts([made], CONFIG)
+    assert [len(p.voxels) for p in parts] == [len(below) + (len(crown) if joined else 0)]
+    assert len(rest.voxels) == len(standing) + (0 if joined else len(crown))
+
+
 @pytest.mark.parametrize(("left", "parts"), [(3.0, 2), (0.5, 1)], ids=["a garage", "a gate post"])
 def test_what_is_left_of_a_house_is_an_object_however_large_the_house_was(left, parts):
     house, garage = walls(25, 20, 8), np.add(walls(left, left, 2.5), (25, 0, 0))

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
+from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import UNCERTAIN, EpochView, is_ghost_trail
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
 from subiaco_geo.codes import Semantic
@@ -26,6 +27,7 @@ _WALL_TOP = NUMBERS.ground_cells.wall_top
 _WALL_DEPTH = NUMBERS.ground_cells.wall_depth
 _FLOOR_REACH = NUMBERS.ground_cells.floor_reach
 _DENSE = NUMBERS.ground_cells.dense_share
+_BELOW = NUMBERS.ground_cells.seen_below
 
 
 class GroundChangeConfig(StrictModel):
@@ -133,7 +135,8 @@ class GroundCells:
     ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
     none; ``bridged``: took a neighbour's height in an epoch; ``height`` in *after* [m]; ``other``: one epoch
     holds the ground of the other under another class, in the cell or beside it; ``inside``: in the cell
-    itself; ``raised`` and ``lowered``: wall or hidden floor of a pit of *before* and of *after*.
+    itself; ``raised`` and ``lowered``: wall or hidden floor of a pit of *before* and of *after*, whose height
+    is not known.
     """
 
     dz: Floats
@@ -147,23 +150,35 @@ class GroundCells:
 
 
 def difference_cells(
-    before: EpochView, after: EpochView, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
+    before: EpochView,
+    after: EpochView,
+    corner: Floats,
+    shape: tuple[int, int],
+    config: GroundChangeConfig,
+    empty: tuple[Empty | None, Empty | None] = (None, None),
 ) -> GroundCells:
-    """Difference the ground of two epochs in the cells of a window that all their ground points lie in."""
+    """Difference the ground of two epochs in the cells of a window that all their ground points lie in.
+
+    ``empty`` tells which places the beams of *before* and of *after* went through, where they were counted.
+    """
     views = (before, after)
     cells = [_cell_heights(v, _still_ground(v), corner, shape, config) for v in views]
     own = [np.isfinite(height) for height, _ in cells]
     (first, second), bridged = _bridge(cells[0][0], cells[1][0], config)
     walls = [_pit_walls(v, h, corner, config) for v, (h, _) in zip(views, cells[::-1], strict=True)]
     pits = [_floor_of_pits(w, mine, its, config) for w, mine, its in zip(walls, own, own[::-1], strict=True)]
+    free = [
+        _seen_below(mine, height, corner, saw, config)
+        for mine, (height, _), saw in zip(own, cells[::-1], empty, strict=True)
+    ]
     heights = tuple(
-        np.where(np.isfinite(wall), wall, np.where(around, np.nan, height))
-        for height, wall, (around, _) in zip((first, second), walls, pits, strict=True)
+        np.where(np.isfinite(wall), wall, np.where(around | below, np.nan, height))
+        for height, wall, (around, _), below in zip((first, second), walls, pits, free, strict=True)
     )
     pit = np.isfinite(walls[0]) | np.isfinite(walls[1])
     lod = np.maximum(cells[0][1], cells[1][1])
     other, inside = _other_surface(views, (heights[0], heights[1]), corner, config)
-    dug = [np.isfinite(wall) | floor for wall, (_, floor) in zip(walls, pits, strict=True)]
+    dug = [np.isfinite(w) | floor | below for w, (_, floor), below in zip(walls, pits, free, strict=True)]
     surfaces = (heights[1], other & ~pit, inside & ~pit)
     return GroundCells(heights[1] - heights[0], lod, bridged & ~pit, *surfaces, *dug)
 
@@ -209,6 +224,28 @@ def _floor_of_pits(wall: Floats, own: Mask, other: Mask, config: GroundChangeCon
     size = 2 * config.closing + 1
     mine, its = (ndimage.uniform_filter(m.astype(np.float64), size) for m in (own, other))
     return around, around & other & (mine >= _DENSE * its)
+
+
+def _nowhere(mine: Mask, *_: object) -> Mask:
+    """Return no cell."""
+    return np.zeros_like(mine)
+
+
+@switchable("seen_below_ground", _nowhere)
+def _seen_below(
+    mine: Mask, other: Floats, corner: Floats, empty: Empty | None, config: GroundChangeConfig
+) -> Mask:
+    """Tell in which cells an epoch looked through the ground of the other one, and has none (not ``mine``).
+
+    Its beams went on well below the ground (heights ``other``, rows, columns), to the floor or the far wall
+    of a pit whose near edge hides the floor in these cells.
+    """
+    found = np.zeros(mine.shape, dtype=bool)
+    row, column = np.nonzero(~mine & np.isfinite(other))
+    if empty is not None and len(row):
+        middle = corner + (np.column_stack([column, row]) + 0.5) * config.cell
+        found[row, column] = empty(np.column_stack([middle, other[row, column] - _BELOW]))
+    return found
 
 
 @switchable("ground_of_moving_objects", lambda view: view.semantic == Semantic.GROUND)

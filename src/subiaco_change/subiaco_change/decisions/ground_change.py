@@ -91,6 +91,8 @@ def find_patches(
         large |= _moved_as_much(labels, count, rise, config)
         for number in np.flatnonzero(large).tolist():
             where = labels == number
+            if not np.isfinite(dz[where]).any():
+                continue
             if _is_interpolated(where, cells, config) or _is_other_surface(where, cells, config):
                 continue
             found = _make_patch(change, where, cells, corner, config)

@@ -441,6 +441,11 @@ class GroundCellsNumbers(StrictModel):
         description="Depth under the other epoch's ground beyond which points show another level or "
         "reflections and no wall of a pit [m]",
     )
+    seen_below: float = Field(
+        0.5,
+        description="Depth below the ground of one epoch at which the other one saw free space where the "
+        "ground was dug away [m]",
+    )
     floor_reach: float = Field(
         1.5,
         description="Distance from a wall within which the near edge of a pit hides its floor [m]",

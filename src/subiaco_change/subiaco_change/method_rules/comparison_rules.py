@@ -273,8 +273,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "hidden_trunks",
         _HERE,
-        "A tree whose trunk parked cars hide is known by a top of its own: the trimmed side of a crown has"
-        " none.",
+        "A tree whose trunk parked cars or leaves hide is known by a top of its own: the trimmed side of a"
+        " crown has none.",
         ("association.parts.hidden_foot", "method_numbers.felled_crowns.top_reach"),
     ),
     Rule(

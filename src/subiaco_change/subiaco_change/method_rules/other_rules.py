@@ -152,6 +152,13 @@ GROUND_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "seen_below_ground",
+        _GROUND,
+        "Where counted beams went on half a metre below the ground of the other epoch, and no ground was met,"
+        " lies the hidden floor of a pit.",
+        ("method_numbers.ground_cells.seen_below",),
+    ),
+    Rule(
         "possible_area",
         _GROUND,
         "Occluded cells around a patch count towards its area.",

@@ -133,13 +133,16 @@ def tile_ground(inputs: Inputs, params: TileParams[GroundSlice]) -> GroundCells:
     """Difference the ground in the cells of a tile."""
     config, origin, tile = params.config.ground, params.origin, params.square(_RIM)
     near = near_tile(params.tile, _RIM, params.size, origin)
-    views = [load_region(inputs, side, origin, params.config.evidence, near).view for side in params.sides]
+    regions = [load_region(inputs, side, origin, params.config.evidence, near) for side in params.sides]
+    views = [region.view for region in regions]
+    counted = [side.kind == "observed" for side in params.sides]
+    empty = [region.empty if known else None for region, known in zip(regions, counted, strict=True)]
     corner, shape, rim = _window(tile, origin, config)
     if any(not (view.semantic == Semantic.GROUND).any() for view in views):
         nothing, none = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
         cells = GroundCells(nothing, nothing, none, nothing, none, none, none, none)
     else:
-        cells = difference_cells(views[0], views[1], corner, shape, config)
+        cells = difference_cells(views[0], views[1], corner, shape, config, (empty[0], empty[1]))
     return GroundCells(*(getattr(cells, name)[rim:-rim, rim:-rim] for name in _CELLS))
 
 

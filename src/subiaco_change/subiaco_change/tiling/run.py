@@ -115,7 +115,7 @@ class ChangeRun(Epochs):
         params = GroupParams(WHOLE, self.size, self.sides, self.origin, config, counts)
         groups = self.runner.one(Task("groups", WHOLE, find_groups, inputs, params), spans[5])
         comparing, reach = self._groups(groups, frame, lods)
-        grounds = self._tasks("ground", tile_ground, GroundSlice, self._seen(frame, lods, sight=False))
+        grounds = self._tasks("ground", tile_ground, GroundSlice, self._seen(frame, lods))
         compared, ground = self.runner.together([comparing, grounds], (spans[6][0], spans[7][1]))
         patched, patch_reach = self._patches(ground, spans[8])
         decided = self._decide(compared, spans[8])
@@ -211,15 +211,11 @@ class ChangeRun(Epochs):
         united = {f"united/{e}": self.united[e] for e in EPOCHS}
         return {tile: {**self._around(tile, frame, 1), **united} for tile in self.tiles}
 
-    def _seen(
-        self, frame: Mapping[str, str], lods: Mapping[str, str], *, sight: bool = True
-    ) -> dict[str, dict[str, str]]:
+    def _seen(self, frame: Mapping[str, str], lods: Mapping[str, str]) -> dict[str, dict[str, str]]:
         """All that a region of a tile and its neighbours wants, by tile."""
         common = self.common(frame["registration"])
         return {
-            tile: self._region(
-                [tile, *neighbours(tile, self.tiles)], frame, lods, common, [tile] if sight else []
-            )
+            tile: self._region([tile, *neighbours(tile, self.tiles)], frame, lods, common, [tile])
             for tile in self.tiles
         }
 
