@@ -6,7 +6,7 @@ joins them in one epoch alone is a house of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from itertools import combinations
 
 import numpy as np
@@ -281,11 +281,19 @@ def _is_wing(
     return bool(own[row] < (_PAIR if shallow else _END))
 
 
-def _of_most(obj: ObjectInstance, labels: Ints) -> Ints:
-    """Return one label for all voxels (M,) of what one epoch alone has, as of a garage between two houses."""
-    if obj.voxels.observed_unoccupied.mean() <= 0.5:
-        return labels
-    return np.full_like(labels, np.bincount(labels).argmax())
+def _undivided_between(houses: Sequence[Set[int]], obj: ObjectInstance, labels: Ints, changed: Mask) -> Ints:
+    """Return one label for all voxels (M,) of what one epoch alone has between houses of both epochs.
+
+    A garage is of one of them. ``houses``: labels of what *before* and *after* have there, and the other
+    epoch too; ``changed`` (M,): voxels of a changed house of the row.
+    """
+    between = _is_alone(obj) and not changed.any() and set(labels.tolist()) <= houses[0] & houses[1]
+    return np.full_like(labels, np.bincount(labels).argmax()) if between else labels
+
+
+def _is_alone(obj: ObjectInstance) -> bool:
+    """Tell whether most of an object stands in its own epoch alone."""
+    return bool(obj.voxels.observed_unoccupied.mean() > 0.5)
 
 
 def _pieces(
@@ -310,13 +318,17 @@ def _pieces(
     found: list[tuple[list[ObjectInstance], list[ObjectInstance]]] = [
         ([], []) for _ in range(labels.max() + 1)
     ]
-    for epoch, side in enumerate(sides):
-        for obj in side:
-            count = len(obj.voxels)
-            own, labels = labels[:count], labels[count:]
-            of_house, changed = changed[:count], changed[count:]
-            parts = _along(obj, own if of_house.any() else _of_most(obj, own), following)
-            for number, piece in parts:
-                found[number][epoch].append(piece)
-            following += len(parts)
+    ends = np.cumsum([len(obj.voxels) for side in sides for obj in side])[:-1]
+    owners, moves = np.split(labels, ends), np.split(changed, ends)
+    epochs = [epoch for epoch, side in enumerate(sides) for _ in side]
+    members = list(zip(epochs, (*sides[0], *sides[1]), owners, moves, strict=True))
+    houses = [
+        {int(n) for e, obj, own, _ in members if e == epoch and not _is_alone(obj) for n in np.unique(own)}
+        for epoch in (0, 1)
+    ]
+    for epoch, obj, own, of_house in members:
+        parts = _along(obj, _undivided_between(houses, obj, own, of_house), following)
+        for number, piece in parts:
+            found[number][epoch].append(piece)
+        following += len(parts)
     return [(tuple(b), tuple(a)) for b, a in found]
