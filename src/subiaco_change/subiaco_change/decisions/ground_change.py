@@ -247,6 +247,9 @@ def _make_patch(
         f" {config.area:.0f} m², or {config.volume:.2f} m³ of a smaller patch): the ground was"
         f" {'raised' if height > 0 else 'lowered'}."
     )
+    hidden = np.count_nonzero(where & (ground.raised | ground.lowered) & ~np.isfinite(dz)) * cell**2
+    if hidden >= 1.0:
+        reason += f" In {hidden:.0f} m² the edge of a pit hides its floor; the depth is that of the rest."
     return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)
 
 
