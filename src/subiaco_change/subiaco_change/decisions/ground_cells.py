@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import switchable
+from subiaco_change.method_rules.switches import none_like_second, switchable
 from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.voxel_objects import UNCERTAIN, EpochView, is_ghost_trail
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
@@ -168,7 +168,7 @@ def difference_cells(
     walls = [_pit_walls(v, h, corner, config) for v, (h, _) in zip(views, cells[::-1], strict=True)]
     pits = [_floor_of_pits(w, mine, its, config) for w, mine, its in zip(walls, own, own[::-1], strict=True)]
     free = [
-        _seen_below(mine, height, corner, saw, config)
+        _seen_below(height, mine, corner, saw, config)
         for mine, (height, _), saw in zip(own, cells[::-1], empty, strict=True)
     ]
     heights = tuple(
@@ -226,14 +226,9 @@ def _floor_of_pits(wall: Floats, own: Mask, other: Mask, config: GroundChangeCon
     return around, around & other & (mine >= _DENSE * its)
 
 
-def _nowhere(mine: Mask, *_: object) -> Mask:
-    """Return no cell."""
-    return np.zeros_like(mine)
-
-
-@switchable("seen_below_ground", _nowhere)
+@switchable("seen_below_ground", none_like_second)
 def _seen_below(
-    mine: Mask, other: Floats, corner: Floats, empty: Empty | None, config: GroundChangeConfig
+    other: Floats, mine: Mask, corner: Floats, empty: Empty | None, config: GroundChangeConfig
 ) -> Mask:
     """Tell in which cells an epoch looked through the ground of the other one, and has none (not ``mine``).
 
@@ -243,7 +238,7 @@ def _seen_below(
     found = np.zeros(mine.shape, dtype=bool)
     row, column = np.nonzero(~mine & np.isfinite(other))
     if empty is not None and len(row):
-        middle = corner + (np.column_stack([column, row]) + 0.5) * config.cell
+        middle = _middles(row, column, corner, config)
         found[row, column] = empty(np.column_stack([middle, other[row, column] - _BELOW]))
     return found
 
@@ -271,7 +266,7 @@ def _other_surface(
     other, inside = np.zeros(apart.shape, dtype=bool), np.zeros(apart.shape, dtype=bool)
     if len(row) == 0:
         return other, inside
-    middle = corner + (np.column_stack([column, row]) + 0.5) * config.cell
+    middle = _middles(row, column, corner, config)
     limit = np.minimum(config.same_surface, 0.5 * apart[row, column])
     reaches = (config.same_beside, math.sqrt(0.5) * config.cell)
     held = np.zeros((len(reaches), len(row)), dtype=bool)
@@ -285,6 +280,11 @@ def _other_surface(
         held |= _coincides(ground, view.xyz[off], apart, corner, config)[row, column]
     other[row, column], inside[row, column] = held
     return other, inside
+
+
+def _middles(row: Ints, column: Ints, corner: Floats, config: GroundChangeConfig) -> Floats:
+    """Middles (N, 2) of cells [m]."""
+    return np.asarray(corner + (np.column_stack([column, row]) + 0.5) * config.cell)
 
 
 @switchable("coinciding_ground", lambda _, __, apart, *___: np.zeros(apart.shape, dtype=bool))

@@ -91,7 +91,7 @@ def find_patches(
         large |= _moved_as_much(labels, count, rise, config)
         for number in np.flatnonzero(large).tolist():
             where = labels == number
-            if not np.isfinite(dz[where]).any():
+            if not np.isfinite(dz[where]).any():  # a pit of which neither floor nor wall was met
                 continue
             if _is_interpolated(where, cells, config) or _is_other_surface(where, cells, config):
                 continue
@@ -233,7 +233,8 @@ def _make_patch(
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]
     level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
-    level_ground = np.count_nonzero(where & ~(ground.raised | ground.lowered))
+    in_pit = where & (ground.raised | ground.lowered)
+    level_ground = np.count_nonzero(where & ~in_pit)
     if len(known) < 0.5 * level_ground:  # thinly seen: neighbours err together, over a block
         blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
         spread = float(values.std()) / math.sqrt(blocks)
@@ -247,7 +248,7 @@ def _make_patch(
         f" {config.area:.0f} m², or {config.volume:.2f} m³ of a smaller patch): the ground was"
         f" {'raised' if height > 0 else 'lowered'}."
     )
-    hidden = np.count_nonzero(where & (ground.raised | ground.lowered) & ~np.isfinite(dz)) * cell**2
+    hidden = np.count_nonzero(in_pit & ~np.isfinite(dz)) * cell**2
     if hidden >= 1.0:
         reason += f" In {hidden:.0f} m² the edge of a pit hides its floor; the depth is that of the rest."
     return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)

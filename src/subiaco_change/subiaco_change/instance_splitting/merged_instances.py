@@ -281,13 +281,13 @@ def _is_wing(
     return bool(own[row] < (_PAIR if shallow else _END))
 
 
-def _undivided_between(houses: Sequence[Set[int]], obj: ObjectInstance, labels: Ints, changed: Mask) -> Ints:
+def _undivided_between(houses: Set[int], obj: ObjectInstance, labels: Ints, changed: Mask) -> Ints:
     """Return one label for all voxels (M,) of what one epoch alone has between houses of both epochs.
 
-    A garage is of one of them. ``houses``: labels of what *before* and *after* have there, and the other
-    epoch too; ``changed`` (M,): voxels of a changed house of the row.
+    A garage is of one of them. ``houses``: their labels; ``changed`` (M,): voxels of a changed house of the
+    row.
     """
-    between = _is_alone(obj) and not changed.any() and set(labels.tolist()) <= houses[0] & houses[1]
+    between = _is_alone(obj) and not changed.any() and set(labels.tolist()) <= houses
     return np.full_like(labels, np.bincount(labels).argmax()) if between else labels
 
 
@@ -322,10 +322,11 @@ def _pieces(
     owners, moves = np.split(labels, ends), np.split(changed, ends)
     epochs = [epoch for epoch, side in enumerate(sides) for _ in side]
     members = list(zip(epochs, (*sides[0], *sides[1]), owners, moves, strict=True))
-    houses = [
-        {int(n) for e, obj, own, _ in members if e == epoch and not _is_alone(obj) for n in np.unique(own)}
-        for epoch in (0, 1)
-    ]
+    standing: tuple[set[int], set[int]] = (set(), set())
+    for epoch, obj, own, _ in members:
+        if not _is_alone(obj):
+            standing[epoch].update(own.tolist())
+    houses = standing[0] & standing[1]
     for epoch, obj, own, of_house in members:
         parts = _along(obj, _undivided_between(houses, obj, own, of_house), following)
         for number, piece in parts:

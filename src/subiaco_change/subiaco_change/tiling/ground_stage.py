@@ -135,14 +135,16 @@ def tile_ground(inputs: Inputs, params: TileParams[GroundSlice]) -> GroundCells:
     near = near_tile(params.tile, _RIM, params.size, origin)
     regions = [load_region(inputs, side, origin, params.config.evidence, near) for side in params.sides]
     views = [region.view for region in regions]
-    counted = [side.kind == "observed" for side in params.sides]
-    empty = [region.empty if known else None for region, known in zip(regions, counted, strict=True)]
+    before, after = (
+        region.empty if side.kind == "observed" else None
+        for region, side in zip(regions, params.sides, strict=True)
+    )
     corner, shape, rim = _window(tile, origin, config)
     if any(not (view.semantic == Semantic.GROUND).any() for view in views):
         nothing, none = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
         cells = GroundCells(nothing, nothing, none, nothing, none, none, none, none)
     else:
-        cells = difference_cells(views[0], views[1], corner, shape, config, (empty[0], empty[1]))
+        cells = difference_cells(views[0], views[1], corner, shape, config, (before, after))
     return GroundCells(*(getattr(cells, name)[rim:-rim, rim:-rim] for name in _CELLS))
 
 
