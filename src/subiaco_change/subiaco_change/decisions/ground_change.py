@@ -250,7 +250,9 @@ def _make_patch(
     )
     hidden = np.count_nonzero(in_pit & ~np.isfinite(dz)) * cell**2
     if hidden >= 1.0:
-        reason += f" In {hidden:.0f} m² the edge of a pit hides its floor; the depth is that of the rest."
+        lower = "earlier" if height > 0 else "later"
+        reason += f" In {hidden:.0f} m² the {lower} survey looked over its lower ground and did not meet it; the"
+        reason += " height is that of the rest."
     return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)
 
 
