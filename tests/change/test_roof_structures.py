@@ -21,6 +21,8 @@ DORMER = block((2, 0, 4), (4, 1.5, 6))
 OVERHANGING_CROWN = block((8, 2, 4), (15, 7, 9))
 CEILING = block((2, 2, 3), (6, 6, 3.5))
 BUSH_AT_THE_WALL = block((3, -1, 0), (6, 1, 6))
+#: Most of the crown is over the roof, and cars hide all of the trunk but a few points.
+TREE_OVER_THE_ROOF = np.concatenate([block((7, 2, 4), (12, 6, 8)), block((10.5, 4, 0.5), (11, 4.5, 1.5))])
 
 
 def obj(xyz, instance, semantic):
@@ -48,7 +50,7 @@ def test_what_stands_on_a_roof_is_of_the_building(thing):
     assert house_beneath(thing) == 3
 
 
-@pytest.mark.parametrize("thing", [OVERHANGING_CROWN, BUSH_AT_THE_WALL])
+@pytest.mark.parametrize("thing", [OVERHANGING_CROWN, BUSH_AT_THE_WALL, TREE_OVER_THE_ROOF])
 def test_a_crown_that_overhangs_a_roof_and_a_bush_at_the_wall_are_plants(thing):
     assert house_beneath(thing) == -1
 
@@ -101,7 +103,7 @@ def test_what_hangs_over_a_building_or_in_it_has_no_row_of_its_own(thing, label)
     assert len(joined.after) == 1
 
 
-@pytest.mark.parametrize("thing", [OVERHANGING_CROWN, BUSH_AT_THE_WALL])
+@pytest.mark.parametrize("thing", [OVERHANGING_CROWN, BUSH_AT_THE_WALL, TREE_OVER_THE_ROOF])
 def test_what_stands_beside_a_building_keeps_its_row(thing):
     changes = rows(thing)
     assert join_hanging_parts(changes) == changes

@@ -12,12 +12,10 @@ from subiaco_change.geometry import column_keys
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.objects.voxel_objects import Voxels, join_voxels
-from subiaco_change.quantiles import quantile_of
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.roof_structures.cell
-_FOOT = NUMBERS.roof_structures.foot_quantile
 _LOWEST = NUMBERS.roof_structures.lowest
 _OVER = NUMBERS.roof_structures.share
 
@@ -39,7 +37,7 @@ def join_hanging_parts(changes: list[ObjectChange]) -> list[ObjectChange]:
             continue
         voxels = [join_voxels(side) for side in (change.before, change.after)]
         height = np.concatenate([v.height for v in voxels])
-        if quantile_of(height, _FOOT) < _LOWEST:
+        if height.min(initial=np.inf) < _LOWEST:  # a crown has a trunk, of which few points may have been met
             continue
         over = np.concatenate([_owners(v.xyz, c) for v, c in zip(voxels, columns, strict=True)])
         inside = over[over >= 0]

@@ -34,6 +34,7 @@ def buildings_beneath(
 
     The object begins higher than a room above the ground, most of its points lie in columns of buildings, it
     has fewer points than the building that has most of these columns, and it is as high as the roof of that.
+    What has a trunk begins at the ground, however few points of the trunk were met.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def buildings_beneath(
     beneath, size = of_cell[cell[len(places) :]], np.bincount(building)
     for members in group_indices(labels):
         over = beneath[members][beneath[members] >= 0]
-        if len(over) < _OVER * len(members) or quantile_of(height[members], _FOOT) < _LOWEST:
+        if len(over) < _OVER * len(members) or height[members].min() < _LOWEST:
             continue
         most = int(np.bincount(over).argmax())
         if len(members) >= size[most]:
