@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.special import ndtr, ndtri
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
@@ -235,11 +236,13 @@ def _make_patch(
     level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
     in_pit = where & (ground.raised | ground.lowered)
     level_ground = np.count_nonzero(where & ~in_pit)
-    if len(known) < 0.5 * level_ground:  # thinly seen: neighbours err together, over a block
-        blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
-        spread = float(values.std()) / math.sqrt(blocks)
-        level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
     height, spread = float(np.median(values)), float(values.std())
+    blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)  # neighbours err together, over a block
+    of_mean = 1.96 * spread / math.sqrt(blocks)
+    if len(known) < 0.5 * level_ground:  # thinly seen
+        level = math.hypot(level, of_mean, _noise_around(where, dz, cell))
+    else:
+        level = _of_whole_patch(level, of_mean, where, dz, lod, cell)
     confidence = patch_confidence(height, level, spread, config.threshold)
     volume = abs(float(values.mean())) * area
     reason = (
@@ -271,15 +274,38 @@ def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
     Seen thinly and from afar, neighbours err together (attitude, grazing rings): their mean gets no
     better with their number.
     """
-    rows, columns = (
-        slice(max(int(i.min()) - reach, 0), int(i.max()) + reach + 1)
-        for i, reach in ((i, round(_AROUND / cell)) for i in np.nonzero(where))
-    )
-    around = np.where(where[rows, columns], np.nan, dz[rows, columns])
-    factor = max(1, round(_NOISE_BLOCK / cell))
-    blocks = block_median(around, factor)
-    values = blocks[np.isfinite(blocks)]
+    values = _blocks_around(where, dz, cell)
     return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
+
+
+@switchable("level_of_patches", first_argument)
+def _of_whole_patch(level: float, of_mean: float, where: Mask, dz: Floats, lod: Floats, cell: float) -> float:
+    """Return the level of detection of the mean of a patch, given that of its points [m].
+
+    The roughness of single points averages out over a patch (``of_mean``). What blocks of neighbours have in
+    common does not: that of the blocks around, of which most did not change, is measured. Nor do the
+    registration and the noise of both maps, which alone make up the level of the smoothest ground around.
+    """
+    values = _blocks_around(where, dz, cell)
+    if len(values) < _LOD_CELLS:
+        return level
+    common = float(np.median(np.abs(values)) / ndtri(0.75))  # standard deviation about zero
+    least = float(np.nanmin(lod[_around(where, cell)]))
+    return min(level, max(math.hypot(of_mean, 1.96 * common), least))
+
+
+def _blocks_around(where: Mask, dz: Floats, cell: float) -> Floats:
+    """Return the median differences (B,) of the blocks around a patch [m]."""
+    window = _around(where, cell)
+    blocks = block_median(np.where(where[window], np.nan, dz[window]), max(1, round(_NOISE_BLOCK / cell)))
+    return np.asarray(blocks[np.isfinite(blocks)])
+
+
+def _around(where: Mask, cell: float) -> tuple[slice, slice]:
+    """Rows and columns of a patch and of what lies within reach of it."""
+    reach = round(_AROUND / cell)
+    rows, columns = (slice(max(int(i.min()) - reach, 0), int(i.max()) + reach + 1) for i in np.nonzero(where))
+    return rows, columns
 
 
 def _nearest_lod(cells: Ints, lod: Floats) -> float:
@@ -309,8 +335,6 @@ def ground_raster(comparison: GroundComparison, origin: Floats, config: GroundCh
 
 
 def _normal_cdf(z: Floats | float) -> Floats:
-    from scipy.special import ndtr
-
     return np.asarray(ndtr(z))
 
 

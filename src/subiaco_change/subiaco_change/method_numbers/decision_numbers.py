@@ -475,7 +475,7 @@ class GroundChangeNumbers(StrictModel):
     )
     lod_cells: int = Field(
         25,
-        description="Number of cells with a level of detection that stand for a patch without one",
+        description="Number of cells, or of blocks of cells, around a patch that tell its level of detection",
     )
     inner_share: float = Field(
         0.15,

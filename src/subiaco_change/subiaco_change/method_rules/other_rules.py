@@ -198,6 +198,16 @@ GROUND_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "level_of_patches",
+        _GROUND,
+        "The noise of single points averages out over a patch; what the blocks around it have in common stays.",
+        (
+            "method_numbers.ground_change.noise_reach",
+            "method_numbers.ground_change.noise_block",
+            "method_numbers.ground_change.lod_cells",
+        ),
+    ),
+    Rule(
         "noise_around_patches",
         _GROUND,
         "The level of detection of a thinly seen patch is at least the scatter of the blocks around it.",
