@@ -641,7 +641,7 @@ def _without_narrow(
     width = 2 * int(0.5 * config.roof_width / frame.cell) + 1  # columns of the narrowest roof: an odd number
     wide = columns | (room > 0)
     own = np.where(columns, top, room)
-    lowest = ndimage.percentile_filter(np.where(wide, own, np.inf), 10, width, mode="nearest")
+    lowest = ndimage.minimum_filter(np.where(wide, own, np.inf), width, mode="nearest")
     roof = ndimage.maximum_filter(np.where(wide, lowest, -np.inf), width, mode="nearest")
     return np.asarray(np.minimum(roof, top)[columns])
 
