@@ -86,7 +86,11 @@ def _links(inputs: Inputs, tiles: list[str], offset: Ints, every: Floats) -> Int
 
 
 def _pairs(rows: Ints, first: int, second: int, every: Floats) -> Ints:
-    """Fragments of two tiles that are one, from the numbers (M, 2) that both give to shared points."""
+    """Fragments of two tiles that are one, from the numbers (M, 2) that both give to shared points.
+
+    A fragment that lies outside its own tile names none of its points. At the edge of the surroundings it is cut
+    off, and may hold together what the tile that has it whole tells apart: two crowns, or two parked cars.
+    """
     rows = rows[(rows >= 0).any(axis=1)]
     totals = [np.bincount(rows[rows[:, e] >= 0, e]) for e in (0, 1)]
     both = rows[(rows >= 0).all(axis=1)]
@@ -98,7 +102,8 @@ def _pairs(rows: Ints, first: int, second: int, every: Floats) -> Ints:
     smaller = np.minimum(totals[0][pairs[:, 0]], totals[1][pairs[:, 1]])
     pairs, enough = pairs + np.array([first, second]), (count >= _LEAST) & (count >= _SHARED * smaller)
     alike = every[pairs[:, 0], 0] == every[pairs[:, 1], 0]
-    return np.asarray(pairs[enough & alike])
+    inside = (every[pairs, 1] > 0).all(axis=1)
+    return np.asarray(pairs[enough & alike & inside])
 
 
 def _renumber(group: Ints, every: Floats) -> tuple[Ints, Ints, Ints]:
