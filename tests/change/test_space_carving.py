@@ -158,25 +158,6 @@ def test_behind_a_single_wall_the_depth_is_open():
     assert found.volume.high >= 4 * 5 * TALL
 
 
-@pytest.mark.parametrize("sky", [True, False], ids=["sky seen behind", "nothing seen behind"])
-def test_an_extension_at_the_rear_of_which_one_side_was_seen_may_be_as_wide_as_the_house(sky):
-    """The street sees its side between two houses, and of the yard before it no more than a metre."""
-    gap = ((LENGTH - 1.0, DEPTH, 0), (30, 30, HIGH))
-    behind = [((-9, DEPTH, TALL), (30, 30, HIGH))] if sky else []
-    yard = inside(*(OUT[name] for name in ("street", "west", "east")), gap, *behind)
-    beside = inside(*(OUT[name] for name in ("street", "west", "east")), *behind)
-    side = sheet((LENGTH - CELL, DEPTH, 0), (LENGTH, DEPTH + 5, TALL))
-    after = CarvingEpoch(voxels(*house()).add(voxels(side, occupied_in_other=False)), beside, nothing_met)
-    before, whole = epoch(house(), yard), LENGTH * 5 * TALL
-    found = carve(before, after, CONFIG)
-    assert found.volume.low < 0.2 * whole
-    assert 0.9 * whole <= found.volume.high <= 1.1 * whole
-    back = carve(after, before, CONFIG)
-    assert (back.volume.low, back.volume.high) == (-found.volume.high, -found.volume.low)
-    with rules_switched_off(("behind_one_wall",)):
-        assert carve(before, after, CONFIG).volume.high < 0.5 * whole
-
-
 def test_a_new_fence_beside_a_house_encloses_nothing():
     """The wall of the house stood before, so it is no wall of what is new; the fence is lower than a room."""
     before = epoch(house(), PLAIN)

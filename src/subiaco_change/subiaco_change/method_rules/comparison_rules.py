@@ -639,12 +639,6 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("measures.carving.room",),
     ),
     Rule(
-        "behind_one_wall",
-        _HERE,
-        "Space behind a single new wall is possibly solid up to the far side of the house.",
-        ("measures.carving.room",),
-    ),
-    Rule(
         "inside_of_buildings",
         _HERE,
         "What is free between walls on all sides is the inside of a building, seen through its windows; a"

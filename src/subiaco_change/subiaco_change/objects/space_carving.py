@@ -409,7 +409,6 @@ def _difference(
     changed = _supported(alone, config)[number]
     maybe = (old.free & new.unknown) | (old.unknown & solid)
     reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
-    reach |= _behind_one_wall(old, new, changed, config)
     volume = Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume)
     wide = _longer(number, config.roof_width / frame.cell)  # than chimneys
     return _Difference(volume, sure, int(confirmed[supported & wide].sum()))
@@ -492,14 +491,8 @@ def _patches(changed: Cells, config: CarvingConfig) -> Cells:
 
     What no epoch knows adjoins every edge: from a line of cells all of it would count as changed.
     """
-    wide = config.thickness
-    return _standing(changed, config) | _opened(changed, [(wide, wide, wide)])
-
-
-def _standing(changed: Cells, config: CarvingConfig) -> Cells:
-    """Keep changed cells that form a wall."""
     wide, tall = config.thickness, config.thickness + 1
-    return _opened(changed, [(1, wide, tall), (wide, 1, tall)])
+    return _opened(changed, [(1, wide, tall), (wide, 1, tall), (wide, wide, wide)])
 
 
 def _opened(cells: Cells, shapes: Sequence[tuple[int, int, int]]) -> Cells:
@@ -538,51 +531,9 @@ def _behind_new_walls(old: _State, new: _State, config: CarvingConfig) -> Cells:
     What the other epoch has stops the way to them: behind a fence beside a house there is no room.
     """
     walls = new.solid & ~old.solid & (new.top >= config.room)[:, :, None]
-    return walls | (_enclosed(walls, _seen_through(new) | (old.solid & ~walls)) & ~new.free)
-
-
-def _nothing_behind_one(_: _State, new: _State, *__: object) -> Cells:
-    """Return no cells."""
-    return np.zeros_like(new.solid)
-
-
-@switchable("behind_one_wall", _nothing_behind_one)
-def _behind_one_wall(old: _State, new: _State, changed: Cells, config: CarvingConfig) -> Cells:
-    """Cells that a new wall may enclose with others that no survey saw, up to the far side of the house.
-
-    Of an extension at the rear a street shows one side, between two houses, and neither its roof nor the yard
-    that was there. Where two walls enclose a room, they tell how wide and how deep it is.
-    """
-    walls = _standing(changed & old.free, config) & (new.top >= config.room)[:, :, None]
-    if not walls.any():
-        return walls
-    stops = _seen_through(new) | (old.solid & ~walls)
-    room = _enclosed(walls, stops)
-    built = (old.top > 0) | walls.any(axis=2)
-    possible = np.zeros_like(walls)
-    for axis, ways in enumerate(_ways(walls, stops)):
-        within = _between_ends(built, axis)
-        one = (ways[0] | ways[1]) & ~room.any(axis=axis, keepdims=True)
-        possible |= one & within
-    return possible & ~old.solid & ~new.free
-
-
-def _between_ends(built: Mask, axis: int) -> Cells:
-    """Tell which columns, as an array (nx, ny, 1), lie between the ends of a house along an axis."""
-    (along,) = np.nonzero(built.any(axis=1 - axis))
-    between = np.zeros(built.shape, dtype=bool)
-    place = [slice(None), slice(None)]
-    place[axis] = slice(along.min(), along.max() + 1)
-    between[tuple(place)] = True
-    return between[:, :, None]
-
-
-def _seen_through(state: _State) -> Cells:
-    """Free cells of an epoch that stop the way to what a wall may enclose.
-
-    A single free cell beside a wall is the part of the wall's own cell that lies in front of it.
-    """
-    return np.asarray(ndimage.binary_opening(state.free, np.ones((2, 2, 1))))
+    # A single free cell beside a wall is the part of the wall's own cell that lies in front of it.
+    stops = ndimage.binary_opening(new.free, np.ones((2, 2, 1)))
+    return walls | (_enclosed(walls, stops | (old.solid & ~walls)) & ~new.free)
 
 
 def _unseen_roofs(state: _State, alone: Cells, frame: _Frame) -> Floats:
