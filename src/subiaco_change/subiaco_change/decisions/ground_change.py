@@ -73,21 +73,20 @@ class GroundComparison:
 def find_patches(
     cells: GroundCells, corner: Floats, config: GroundChangeConfig
 ) -> tuple[Ints, tuple[GroundPatch, ...]]:
-    """Connect cells of one sign beyond the gate, and keep what is large enough and stands out as a whole.
+    """Connect cells of one sign beyond the threshold, and keep what is large enough and stands out as a whole.
 
-    A cell with too few points for a level of detection of its own (NaN) is
-    gated by the threshold alone; its patch then answers for it with the level
-    of detection of its mean. What nobody measured does not part a patch: a
-    parked car hides the ground, and its neighbours' mean is no evidence.
+    Cells are gated by the threshold alone; their patch answers for them with
+    the level of detection of its mean. What nobody measured does not part a
+    patch: a parked car hides the ground, and its neighbours' mean is no
+    evidence.
     """
-    dz, lod = cells.dz, cells.lod
+    dz = cells.dz
     patch = np.full(dz.shape, -1, dtype=np.int64)
     patches: list[GroundPatch] = []
-    gate = _gate(lod, config)
     for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
         rise = np.nan_to_num(sign * dz, nan=-1.0)
-        labels, count = ndimage.label(beyond_gate(cells, sign, config), structure=np.ones((3, 3)))
-        labels = _to_half_height(labels, count, rise, gate, config)
+        labels, count = ndimage.label(beyond_threshold(cells, sign, config), structure=np.ones((3, 3)))
+        labels = _to_half_height(labels, count, rise, config)
         large = _possible_sizes(labels, count, cells, config) * config.cell**2 > config.area
         large |= _moved_as_much(labels, count, rise, config)
         for number in np.flatnonzero(large).tolist():
@@ -147,21 +146,17 @@ def _is_other_surface(where: Mask, cells: GroundCells, config: GroundChangeConfi
     return shares[0] >= config.same_share and shares[1] >= config.same_inside
 
 
-def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:
-    return np.asarray(np.fmax(config.threshold, config.lod_factor * lod))
-
-
-def beyond_gate(cells: GroundCells, sign: float, config: GroundChangeConfig) -> Mask:
+def beyond_threshold(cells: GroundCells, sign: float, config: GroundChangeConfig) -> Mask:
     """Tell which cells changed in one direction, and which between them belong to the same change.
 
     Between changed cells lie some that nobody measured, where no neighbour moved the other way, and some
     that the edge of the change runs through: they hold the mean of both sides. Walls and hidden
     floors of pits belong to the change.
     """
-    rise, gate = np.nan_to_num(sign * cells.dz, nan=-1.0), _gate(cells.lod, config)
+    rise = np.nan_to_num(sign * cells.dz, nan=-1.0)
     against = np.nan_to_num(sign * cells.dz, nan=1.0) <= 0.0
-    between = (cells.bridged & ~against) | (rise > _EDGE * gate)
-    return _closed(rise > gate, between, config) | (cells.raised if sign > 0 else cells.lowered)
+    between = (cells.bridged & ~against) | (rise > _EDGE * config.threshold)
+    return _closed(rise > config.threshold, between, config) | (cells.raised if sign > 0 else cells.lowered)
 
 
 @switchable("closed_gaps", first_argument)
@@ -180,18 +175,18 @@ def _closed(over: Mask, between: Mask, config: GroundChangeConfig) -> Mask:
 
 
 @switchable("half_height_edge", first_argument)
-def _to_half_height(labels: Ints, count: int, rise: Floats, gate: Floats, config: GroundChangeConfig) -> Ints:
+def _to_half_height(labels: Ints, count: int, rise: Floats, config: GroundChangeConfig) -> Ints:
     """Move the edge of every patch out to where half of its height is reached.
 
     A cell that the edge runs through holds the mean of both sides: under the
     threshold, although half of it changed. ``rise`` (rows, columns) is signed
-    so that the patch is positive, ``gate`` what its cells exceeded.
+    so that the patch is positive.
     """
     grown = labels.copy()
     for number, window in enumerate(ndimage.find_objects(labels, count), start=1):
         around = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in window)
         mine = labels[around] == number
-        over = mine & (rise[around] > gate[around])
+        over = mine & (rise[around] > config.threshold)
         if np.count_nonzero(mine) * config.cell**2 < config.small_area or not over.any():
             continue
         half = _EDGE * float(np.median(rise[around][over]))
@@ -254,8 +249,8 @@ def _make_patch(
     hidden = np.count_nonzero(in_pit & ~np.isfinite(dz)) * cell**2
     if hidden >= 1.0:
         lower = "earlier" if height > 0 else "later"
-        reason += f" In {hidden:.0f} m² the {lower} survey looked over its lower ground and did not meet it; the"
-        reason += " height is that of the rest."
+        reason += f" Over {hidden:.0f} m² the {lower} survey did not meet its lower ground; its height there is"
+        reason += " that of the rest."
     return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)
 
 

@@ -12,7 +12,7 @@ from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
-from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
+from subiaco_change.decisions.ground_change import GroundPatch, beyond_threshold, find_patches
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.clustering import connect
@@ -69,7 +69,7 @@ class PatchParams(TileParams[PatchSlice]):
 
 @dataclass(frozen=True)
 class ThresholdLabels:
-    """Components (2, rows, columns) of the cells of a tile beyond the gate, raised and lowered; 0: none."""
+    """Components (2, rows, columns) of the cells of a tile beyond the threshold, raised and lowered; 0: none."""
 
     labels: Ints
 
@@ -169,7 +169,7 @@ def _mosaic(
 
 @obeys_rules
 def tile_over(inputs: Inputs, params: TileParams[PatchSlice]) -> ThresholdLabels:
-    """Label the cells of a tile beyond the gate, for either direction."""
+    """Label the cells of a tile beyond the threshold, for either direction."""
     config = params.config.ground
     cells, south_west = _mosaic(inputs, inputs.under("ground"), params.size, config)
     edge = round(params.size / config.cell)
@@ -178,7 +178,7 @@ def tile_over(inputs: Inputs, params: TileParams[PatchSlice]) -> ThresholdLabels
     )
     inner = np.s_[row : row + edge, column : column + edge]
     labels = [
-        ndimage.label(beyond_gate(cells, sign, config)[inner], structure=np.ones((3, 3)))[0]
+        ndimage.label(beyond_threshold(cells, sign, config)[inner], structure=np.ones((3, 3)))[0]
         for sign in _SIGNS
     ]
     return ThresholdLabels(np.stack(labels))
