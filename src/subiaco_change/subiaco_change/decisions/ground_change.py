@@ -73,7 +73,7 @@ class GroundComparison:
 def find_patches(
     cells: GroundCells, corner: Floats, config: GroundChangeConfig
 ) -> tuple[Ints, tuple[GroundPatch, ...]]:
-    """Connect cells of one sign beyond the threshold, and keep what is large enough and stands out as a whole.
+    """Connect cells of one sign beyond the threshold, and keep what is large and stands out as a whole.
 
     Cells are gated by the threshold alone; their patch answers for them with
     the level of detection of its mean. What nobody measured does not part a
@@ -249,7 +249,9 @@ def _make_patch(
     hidden = np.count_nonzero(in_pit & ~np.isfinite(dz)) * cell**2
     if hidden >= 1.0:
         lower = "earlier" if height > 0 else "later"
-        reason += f" Over {hidden:.0f} m² the {lower} survey did not meet its lower ground; its height there is"
+        reason += (
+            f" Over {hidden:.0f} m² the {lower} survey did not meet its lower ground; its height there is"
+        )
         reason += " that of the rest."
     return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)
 
