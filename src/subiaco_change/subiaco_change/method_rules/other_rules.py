@@ -200,7 +200,7 @@ GROUND_RULES: tuple[Rule, ...] = (
     Rule(
         "level_of_patches",
         _GROUND,
-        "The noise of single points averages out over a patch, what the ground around has in common does not.",
+        "The noise of single points averages out over a patch; what the ground around has in common stays.",
         (
             "method_numbers.ground_change.noise_reach",
             "method_numbers.ground_change.noise_block",
