@@ -69,7 +69,7 @@ class PatchParams(TileParams[PatchSlice]):
 
 @dataclass(frozen=True)
 class ThresholdLabels:
-    """Components (2, rows, columns) of cells of a tile that rose, and that sank, beyond the threshold; 0: none."""
+    """Components (2, rows, columns) of the cells of a tile that rose, or sank, beyond the threshold."""
 
     labels: Ints
 
