@@ -52,6 +52,11 @@ def test_two_crowns_are_two_objects_though_a_neighbouring_tile_sees_them_as_one_
     assert objects_of(tile(CROWNS, np.zeros(0, np.int64), "e"), other) == [50, 100, 100]
 
 
+def test_a_house_of_which_the_other_tile_sees_two_wings_apart_is_one_object():
+    wings = tile(np.repeat([0, 1], 30), np.repeat([0, 1], 100), "w")
+    assert objects_of(tile(np.zeros(200, np.int64), np.zeros(0, np.int64), "e"), wings) == [260]
+
+
 def test_a_crown_on_the_border_of_two_tiles_is_one_object():
     other = tile(np.full(50, 0), np.full(100, 0), "w")
     assert objects_of(tile(CROWNS, np.zeros(0, np.int64), "e"), other) == [100, 150]
