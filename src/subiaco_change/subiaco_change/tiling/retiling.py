@@ -88,8 +88,8 @@ def _links(inputs: Inputs, tiles: list[str], offset: Ints, every: Floats) -> Int
 def _pairs(rows: Ints, first: int, second: int, every: Floats) -> Ints:
     """Fragments of two tiles that are one, from the numbers (M, 2) that both give to shared points.
 
-    A fragment that lies in the surroundings of its tile joins nothing. At their edge it is cut off, and may hold
-    together what the tile that sees the whole of it divides: two crowns, or two parked cars.
+    A fragment that lies in the surroundings of its tile joins nothing. At their edge it is cut off, and may
+    hold together what the tile that sees the whole of it divides: two crowns, or two parked cars.
     """
     rows = rows[(rows >= 0).any(axis=1)]
     totals = [np.bincount(rows[rows[:, e] >= 0, e]) for e in (0, 1)]
