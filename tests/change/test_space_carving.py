@@ -430,6 +430,22 @@ def test_a_yard_that_is_open_to_the_street_is_outside():
     assert carve(before, after, CONFIG).gained.low > 100.0
 
 
+@pytest.mark.parametrize("yard", [False, True], ids=["nothing seen behind", "open behind"])
+def test_a_house_that_was_built_upon_did_not_shrink_where_its_old_roof_is_a_room_behind_windows(yard):
+    """No survey saw its rear wall. What is open behind the three walls is no room: the roof is gone."""
+    walls = [BLOCK[0], *BLOCK[2:]]
+    roof = voxels(sheet((0, 0, TALL - CELL), (LENGTH, DEPTH, TALL)), occupied_in_other=False)
+    before = CarvingEpoch(voxels(*walls).add(roof), PLAIN, nothing_met)
+    upper = voxels(*(wall + np.array([0.0, 0.0, TALL]) for wall in walls), occupied_in_other=False)
+    room = ((1, 1, 0.5), (LENGTH - 1, 30.0 if yard else DEPTH - 1.0, 2 * TALL - CELL))
+    known = inside(OUT["street"], OUT["west"], OUT["east"], room)
+    after = CarvingEpoch(voxels(*walls).add(upper), known, nothing_met)
+    found = carve(before, after, CONFIG)
+    assert (found.lost.low > 100.0) == yard
+    assert (found.lost.high == 0.0) == (not yard)
+    assert (carve(after, before, CONFIG).gained.high == 0.0) == (not yard)
+
+
 def test_a_storey_on_a_house_with_walls_on_all_sides_has_its_volume():
     above = inside(OUT["street"], OUT["west"], ((-9, -9, TALL), (30, 30, HIGH)))
     roof = sheet((0, 0, TALL - CELL), (LENGTH, DEPTH, TALL))

@@ -641,8 +641,8 @@ BUILDING_RULES: tuple[Rule, ...] = (
     Rule(
         "inside_of_buildings",
         _HERE,
-        "What is free between walls on all sides is the inside of a building, seen through its windows; a"
-        " floor between walls on three sides makes no yard where the fourth was not seen to be open.",
+        "What is free between walls on all sides is the inside of a building, seen through its windows;"
+        " between walls on three sides it makes no yard where the fourth was not seen to be open.",
         ("method_numbers.space_carving.room_sides",),
     ),
     Rule(

@@ -249,21 +249,23 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
         sky = free | ((top > 0)[:, :, None] & ~below)
         return _State(below, sky & ~inside, np.zeros_like(below), sky & inside, top, not_refuted)
     # The floor of a room may have been seen through a window; a passage is seen to be open at its end.
-    free &= ~(walled & (_sides(walls | _hidden_ends(open_column)) == 4))
+    free &= ~(walled & (_sides(walls | _hidden_ends(open_column[:, :, None])) == 4))
     ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
     height = frame.foot.ravel()[column] + frame.levels[level]
     free[ask] = epoch.empty(np.column_stack([middles[column], height]))
+    # The rear wall of most houses is seen by no survey; a yard is seen to be open.
+    inside |= ~below & walled & (_sides(possible | _hidden_ends(free)) == 4)
     hollow, outside = free & below, free & ~below & ~inside
     return _State(below & ~hollow, outside, hollow, free & inside, top, not_refuted)
 
 
-def _hidden_ends(open_column: Mask) -> Cells:
-    """Tell the outermost columns (nx, ny, 1) whose ground was not met: no way out was seen to be open."""
-    hidden = np.ones(open_column.shape, dtype=bool)
-    hidden[1:-1, 1:-1] = False
-    return np.asarray((hidden & ~open_column)[:, :, None])
+def _hidden_ends(open_: Cells) -> Cells:
+    """Tell the outermost cells, or columns (nx, ny, 1), that are not open: no way out was seen there."""
+    ends = np.ones(open_.shape[:2], dtype=bool)
+    ends[1:-1, 1:-1] = False
+    return np.asarray(ends[:, :, None] & ~open_)
 
 
 def _walls(top: Floats, other: Voxels, frame: _Frame) -> tuple[Cells, Cells]:
@@ -634,8 +636,11 @@ def _large(columns: Mask, least: float) -> Mask:
 
 
 def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[Floats, Floats]:
-    """Lowest and highest possible top (nx, ny) of every column [m]; inf where no free cell is above."""
-    bottom = np.where(state.free | state.indoors, frame.levels - 0.5 * frame.rise, np.inf)
+    """Lowest and highest possible top (nx, ny) of every column [m]; inf where no free cell is above.
+
+    Above a room that was seen through its windows lies a roof.
+    """
+    bottom = np.where(state.free, frame.levels - 0.5 * frame.rise, np.inf)
     above = np.where(bottom >= state.top[:, :, None] - frame.rise, bottom, np.inf).min(axis=2)
     near = rule_mask("roof_gap", above <= state.top + config.roof_gap)
     high = np.where(near, state.top, np.maximum(above, state.top))
