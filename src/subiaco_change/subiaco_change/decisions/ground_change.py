@@ -251,8 +251,8 @@ def _make_patch(
         lower = "earlier" if height > 0 else "later"
         reason += (
             f" Over {hidden:.0f} m² the {lower} survey did not meet its lower ground; its height there is"
+            " that of the rest."
         )
-        reason += " that of the rest."
     return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)
 
 

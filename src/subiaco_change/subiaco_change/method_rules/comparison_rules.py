@@ -574,7 +574,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         (
             "method_numbers.roof_structures.cell",
             "method_numbers.roof_structures.lowest",
-            "method_numbers.roof_structures.foot_quantile",
             "method_numbers.roof_structures.share",
         ),
     ),

@@ -244,8 +244,8 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     free = np.repeat(open_column[:, :, None], nz, axis=2)
     walls, possible = _walls(np.maximum(top, not_refuted), other, frame)
     walled = _sides(walls) >= _ROOM_SIDES
-    inside = ~below & walled & (_sides(possible) == 4)  # one wall may not have been seen
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
+        inside = ~below & walled & (_sides(possible) == 4)  # one wall may not have been seen
         sky = free | ((top > 0)[:, :, None] & ~below)
         return _State(below, sky & ~inside, np.zeros_like(below), sky & inside, top, not_refuted)
     # The floor of a room may have been seen through a window; a passage is seen to be open at its end.
@@ -256,7 +256,7 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     height = frame.foot.ravel()[column] + frame.levels[level]
     free[ask] = epoch.empty(np.column_stack([middles[column], height]))
     # The rear wall of most houses is seen by no survey; a yard is seen to be open.
-    inside |= ~below & walled & (_sides(possible | _hidden_ends(free)) == 4)
+    inside = ~below & walled & (_sides(possible | _hidden_ends(free)) == 4)
     hollow, outside = free & below, free & ~below & ~inside
     return _State(below & ~hollow, outside, hollow, free & inside, top, not_refuted)
 
