@@ -669,6 +669,17 @@ def test_what_stood_in_both_epochs_within_the_outline_of_a_new_house_is_of_the_h
     assert np.count_nonzero(house.voxels.xyz[:, 0] > 10) == 0
 
 
+@pytest.mark.parametrize(("aside", "parts"), [(0.0, 1), (11.0, 2)], ids=["its facade", "a house beside it"])
+def test_a_house_of_which_the_facade_alone_is_left_is_one_object_with_the_facade(aside, parts):
+    """The roof with its eaves and the side walls are gone; the facade is a fifth of what was seen."""
+    house = walls(10, 8, 5)
+    front = house[:, 1] < 0.5
+    gone = np.concatenate([house[~front], block((0, -0.5, 5), (10, 8, 5.25))])
+    left = np.add(house[front], (aside, 0, 0))
+    both = replace(obj([(gone, False), (left, True)]), semantic=Semantic.BUILDING)
+    assert len(split_one_epoch_parts([both], CONFIG)) == parts
+
+
 @pytest.mark.parametrize(("tall", "garage", "wing"), [(6.0, 2.5, False), (6.0, 5.0, True), (3.0, 2.5, True)])
 def test_a_new_house_that_touches_the_garage_of_its_neighbour_alone_is_no_wing_of_it(tall, garage, wing):
     body = np.concatenate([walls(12, 10, 6), np.add(walls(3, 5, garage), (12, 0, 0))])

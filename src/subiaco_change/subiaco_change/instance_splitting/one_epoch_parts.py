@@ -171,18 +171,22 @@ def _with_remains(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints
     """Give a part of a building the pieces of the rest that lie within its outline, apart from all else.
 
     A tree stood where the corner of a new house is: both epochs have something there, and the corner is still
-    of the new house, and not of the neighbour's, whose instance holds both.
+    of the new house, and not of the neighbour's, whose instance holds both. A facade that is left of the house
+    behind it is no house: the house is one object, and shrank. Before an object close to a wall the wall is
+    the house.
     """
     voxels = obj.voxels
     rest = np.flatnonzero((labels == 0) & voxels.observed)
     if obj.semantic is not Semantic.BUILDING or len(rest) == 0:
         return labels
     pieces = sorted(group_indices(voxel_clusters(voxels.xyz[rest], config.gap)), key=len)
-    for piece in pieces[:-1]:
-        places = voxels.xyz[rest[piece], :2]
+    for number, piece in enumerate(pieces, start=1):
+        places = voxels.xyz[rest[piece]]
         for part in range(1, int(labels.max()) + 1):
-            own = voxels.xyz[labels == part, :2]
-            if len(piece) < len(own) and in_outline_of(own, places, _CELL).mean() >= _REMAINS:
+            own = voxels.xyz[labels == part]
+            if len(piece) >= len(own) or in_outline_of(own[:, :2], places[:, :2], _CELL).mean() < _REMAINS:
+                continue
+            if number < len(pieces) or not is_layer(own, voxels):
                 labels[rest[piece]] = part
                 break
     return labels
