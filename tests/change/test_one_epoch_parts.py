@@ -135,7 +135,11 @@ def test_a_kerb_told_wrong_is_no_part():
     assert len(split_one_epoch_parts([obj([(hedge, True), (kerb, False)])], CONFIG)) == 1
 
 
-@pytest.mark.parametrize(("left", "hidden_went"), [(1.0, True), (8.0, False)], ids=["a gate", "a house"])
+@pytest.mark.parametrize(
+    ("left", "hidden_went"),
+    [(1.0, True), (1.5, False), (8.0, False)],
+    ids=["a gate", "a narrow house", "a house"],
+)
 def test_what_nobody_saw_goes_with_what_is_gone_if_little_is_left(left, hidden_went):
     rest, gone = block((0, 0, 0), (left, 2, 3)), block((left, 0, 0), (left + 2, 2, 3))
     hidden = block((0, 2, 0), (left + 2, 4, 3))  # behind both
@@ -667,6 +671,18 @@ def test_what_stood_in_both_epochs_within_the_outline_of_a_new_house_is_of_the_h
     rest, house = split_one_epoch_parts([replace(both, semantic=semantic)], CONFIG)
     assert np.count_nonzero(rest.voxels.xyz[:, 0] < 10) == kept * (np.count_nonzero(corner) // 8)
     assert np.count_nonzero(house.voxels.xyz[:, 0] > 10) == 0
+
+
+@pytest.mark.parametrize(
+    ("beside", "parts"),
+    [((5.3, 1.8, 1.4), 1), ((8.5, 1.8, 1.4), 2), ((5.0, 0.6, 1.4), 2)],
+    ids=["its end", "another car", "a bin"],
+)
+def test_the_end_of_a_vehicle_is_of_it_where_a_shorter_one_stood_in_its_place(beside, parts):
+    """Stretched: a vehicle of 4 m that both epochs have, and what one alone has up to another length."""
+    car, more = block((0, 0, 0), (4.0, 1.8, 1.4)), block((4.0, 0, 0), beside)
+    whole = replace(obj([(car, True), (more, False)]), semantic=Semantic.MOBILE)
+    assert len(split_one_epoch_parts([whole], CONFIG)) == parts
 
 
 @pytest.mark.parametrize(("aside", "parts"), [(0.0, 1), (11.0, 2)], ids=["its facade", "a house beside it"])

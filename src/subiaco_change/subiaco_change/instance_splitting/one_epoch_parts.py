@@ -15,13 +15,15 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
 from subiaco_change.objects.layers import is_layer, walls_of_both
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.one_epoch_parts.cell
-_WELL_KNOWN = NUMBERS.one_epoch_parts.observed_voxels
+_LITTLE = NUMBERS.one_epoch_parts.little_left
+_END = NUMBERS.one_epoch_parts.vehicle_end
 _FAR = NUMBERS.one_epoch_parts.far_share
 _ABOVE = NUMBERS.one_epoch_parts.overhang
 _TOP = NUMBERS.felled_crowns.top_reach
@@ -184,9 +186,12 @@ def _with_remains(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints
         places = voxels.xyz[rest[piece]]
         for part in range(1, int(labels.max()) + 1):
             own = voxels.xyz[labels == part]
-            if len(piece) >= len(own) or in_outline_of(own[:, :2], places[:, :2], _CELL).mean() < _REMAINS:
+            last = number == len(pieces)
+            if len(own) <= (_REMAINS if last else 1.0) * len(piece):
                 continue
-            if number < len(pieces) or not is_layer(own, voxels):
+            if in_outline_of(own[:, :2], places[:, :2], _CELL).mean() < _REMAINS:
+                continue
+            if not (last and is_layer(own, voxels)):
                 labels[rest[piece]] = part
                 break
     return labels
@@ -209,11 +214,14 @@ def _free_columns(
 
 
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
+    """Tell whether a piece (P,) of an instance stands on the ground, and is no end of a longer vehicle."""
     voxels = obj.voxels
     lowest = voxels.height[piece].min()
     if np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
+        return False
+    if obj.semantic is Semantic.MOBILE and _is_end(voxels.xyz[:, :2], piece):
         return False
     layer = obj.semantic is Semantic.BUILDING and is_layer(voxels.xyz[piece], voxels)
     if lowest > config.foot and not (lowest <= config.hidden_foot and (layer or _is_tree(obj, piece))):
@@ -222,6 +230,16 @@ def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config:
     if layer:
         inside &= ~walls_of_both(voxels)
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
+
+
+def _is_end(xy: Floats, piece: Ints) -> bool:
+    """Tell the end of a vehicle, of places (M, 2), that is longer than one which stood in its place.
+
+    The end is about as wide as the vehicle, and shorter than any; a bin beside a car is narrow.
+    """
+    turned = box_coordinates(xy)
+    along, across = np.ptp(turned[piece], axis=0)
+    return bool(along < _END and across >= 0.5 * np.ptp(turned[:, 1]))
 
 
 @switchable("hidden_trunks", never)
@@ -261,15 +279,14 @@ def _below(obj: ObjectInstance, piece: Ints, column: Ints) -> Mask:
 def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
     """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small.
 
-    Where less still stands than is known of a part, the rest gets nothing: the unseen space behind a
+    Where little still stands beside what is known of a part, the rest gets nothing: the unseen space behind a
     house that is gone was the house, not the gate that is left of the instance.
     """
     known = obj.voxels.observed
     if not known.all():
         left = np.count_nonzero(obj.voxels.occupied_in_other & (labels == 0))
-        gone = np.bincount(labels[known])[1:].max()
-        most = applies("unseen_belongs_to_most", left < gone and gone >= _WELL_KNOWN)
-        source = np.flatnonzero(known & ((labels > 0) | (not most)))
+        little = left <= _LITTLE * np.bincount(labels[known])[1:].max()
+        source = np.flatnonzero(known & ((labels > 0) | (not applies("unseen_belongs_to_most", little))))
         nearest = cKDTree(obj.voxels.xyz[source]).query(obj.voxels.xyz[~known])[1]
         labels[~known] = labels[source][nearest]
     least = 0.0 if _leaves_object(obj.voxels, labels) else config.remainder * len(obj.xyz)

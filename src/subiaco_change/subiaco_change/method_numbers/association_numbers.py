@@ -221,9 +221,15 @@ class OneEpochPartsNumbers(StrictModel):
     """Numbers of ``instance_splitting/one_epoch_parts.py``."""
 
     cell: float = Field(0.5, description="Edge of the columns of a part [m]")
-    observed_voxels: int = Field(
-        20,
-        description="Number of observed voxels from which a part may be most of an instance",
+    little_left: float = Field(
+        0.5,
+        description="Ratio of the voxels that both epochs have to the observed ones of a part in one epoch "
+        "alone up to which unseen space belongs to the part",
+    )
+    vehicle_end: float = Field(
+        1.5,
+        description="Length along a vehicle below which a part in one epoch alone is its end: another vehicle "
+        "stood in its place [m]",
     )
     far_share: float = Field(
         0.2,

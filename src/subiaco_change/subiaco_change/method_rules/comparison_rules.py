@@ -267,6 +267,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "association.parts.whole",
             "association.parts.remainder",
             "method_numbers.one_epoch_parts.far_share",
+            "method_numbers.one_epoch_parts.vehicle_end",
             "method_numbers.one_epoch_parts.remains_inside",
         ),
     ),
@@ -344,8 +345,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "unseen_belongs_to_most",
         _HERE,
-        "Space that the other survey did not see belongs to the part that is gone, where less still stands.",
-        ("method_numbers.one_epoch_parts.observed_voxels",),
+        "Space that the other survey did not see belongs to the part that is gone, where little still stands.",
+        ("method_numbers.one_epoch_parts.little_left",),
     ),
     Rule(
         "one_class_one_place",
