@@ -136,9 +136,9 @@ class _Row:
     """A row in both epochs, and what they show together in every slot (S,).
 
     ``kind``; ``built``: whether both epochs have a house there; ``faced``: whether a wall faces across the
-    row there, or no such wall was seen; ``alone``: the fractions of it that one epoch alone has, in the order
-    of the epochs, and ``share`` the larger of both; ``step``: how far its top rose or fell [m], infinite where
-    one epoch alone has a house.
+    row there, or no such wall was seen; ``alone``: the fractions of it that *before* and that *after* alone
+    have, and ``share`` the larger one; ``step``: how far its top rose or fell [m], infinite where one epoch
+    alone has a house.
     """
 
     sides: Sequence[_Profile]

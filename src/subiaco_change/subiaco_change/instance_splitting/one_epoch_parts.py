@@ -173,9 +173,8 @@ def _with_remains(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints
     """Give a part of a building the pieces of the rest that lie within its outline, apart from all else.
 
     A tree stood where the corner of a new house is: both epochs have something there, and the corner is still
-    of the new house, and not of the neighbour's, whose instance holds both. A facade that is left of the house
-    behind it is no house: the house is one object, and shrank. Before an object close to a wall the wall is
-    the house.
+    of the new house, and not of the neighbour's, whose instance holds both. A facade that is left of a house
+    is no house: the house is one object, and shrank. A wall behind an object that is close to it is one.
     """
     voxels = obj.voxels
     rest = np.flatnonzero((labels == 0) & voxels.observed)

@@ -228,7 +228,7 @@ class OneEpochPartsNumbers(StrictModel):
     )
     vehicle_end: float = Field(
         1.5,
-        description="Length along a vehicle below which a part in one epoch alone is its end: another vehicle "
+        description="Length along a vehicle below which a part in one epoch alone is its end: a shorter one "
         "stood in its place [m]",
     )
     far_share: float = Field(

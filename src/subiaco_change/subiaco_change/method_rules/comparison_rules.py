@@ -345,7 +345,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "unseen_belongs_to_most",
         _HERE,
-        "Space that the other survey did not see belongs to the part that is gone, where little still stands.",
+        "Space that the other survey did not see belongs to the part that is gone, where little is left.",
         ("method_numbers.one_epoch_parts.little_left",),
     ),
     Rule(
