@@ -614,6 +614,20 @@ def test_what_people_do_not_move_was_removed_and_is_new(size, labels):
     assert [change.decision.change for change in told] == labels
 
 
+def test_wires_of_which_each_survey_saw_another_part_stayed():
+    both = block((8.0, 0, 6.0), (30.0, 0.5, 6.5)), True
+    ends = [(np.add(block((0, 0, 6.0), (8.0, 0.5, 6.5)), (begin, 0, 0)), False) for begin in (0.0, 30.0)]
+    before, after = (replace(obj([both, end]), semantic=Semantic.OTHER) for end in ends)
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    told = decide_object((before,), (after,), Semantic.OTHER, rules)
+    assert told.measures.delta_c > rules.decisions.mobile.shift
+    assert told.decision.change is Change.UNCHANGED
+    assert "saw different parts" in told.decision.reason
+    with rules_switched_off(["fixed_objects"]):
+        moved_away = decide_object((before,), (after,), Semantic.OTHER, rules)
+    assert moved_away.decision.change is Change.NOT_REPORTED
+
+
 @pytest.mark.parametrize(("score", "semantic"), [(0.9, Semantic.VEGETATION), (0.5, Semantic.MOBILE)])
 def test_objects_of_both_epochs_in_one_place_take_the_class_of_the_better_score(score, semantic):
     plant, vehicle = (

@@ -39,7 +39,7 @@ from subiaco_change.decisions.view_of_crowns import within_view
 from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.building_extensions import is_open_roof
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import no_decision, switchable
+from subiaco_change.method_rules.switches import never, no_decision, switchable
 from subiaco_change.objects.column_volumes import BUILT_UP, OpenGround
 from subiaco_change.objects.known_space import ALL_FREE, KnownSpaces
 from subiaco_change.objects.measures import (
@@ -139,7 +139,9 @@ def decide_object(
         measures = _with_tops(measures, plant, lod)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     roof = building and is_roof_on_posts(before, after, rules)
-    decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched, roof)
+    fixed = semantic is Semantic.OTHER and all(is_fixed(side, rules.decisions) for side in (before, after))
+    sides = bool(before), bool(after)
+    decision = decide(semantic, *sides, measures, lod, rules.decisions, matched, roof, fixed)
     if building and decision.change in (Change.INCREASED, Change.DECREASED):
         measures = replace(measures, delta_v=shown_volume(measures, rules.decisions.building).middle)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
@@ -169,8 +171,19 @@ def decide_object(
             doubt = doubt_of_porous(contrast, semantic)
     kind = match_kind(len(before), len(after))
     in_lane = lane_share_of_claim(decision, parts, rules.lanes, rules.decisions)
-    sides = tuple(before), tuple(after)
-    return ObjectChange(*sides, semantic, kind, measures, decision, plant, in_lane, doubt)
+    return ObjectChange(
+        tuple(before), tuple(after), semantic, kind, measures, decision, plant, in_lane, doubt
+    )
+
+
+@switchable("fixed_objects", never)
+def is_fixed(objects: Sequence[ObjectInstance], config: DecisionConfig) -> bool:
+    """Tell whether objects of one epoch are longer or taller than movable ones: a fence, a wall or a pole."""
+    voxels, limits = join_voxels(objects), config.mobile
+    if len(voxels) == 0:
+        return False
+    length = float(np.linalg.norm(np.ptp(voxels.xyz[:, :2], axis=0)))
+    return length > limits.longest or float(voxels.height.max()) > limits.tallest
 
 
 def is_roof_on_posts(

@@ -44,6 +44,7 @@ def decide(
     config: DecisionConfig,
     plant: Callable[[], Decision] | None = None,
     roof: bool = False,
+    fixed: bool = False,
 ) -> Decision:
     """Decide one object.
 
@@ -60,6 +61,8 @@ def decide(
         Decides a plant of both epochs.
     roof : bool, optional
         Whether a building of one epoch is a roof on posts, which encloses no volume.
+    fixed : bool, optional
+        Whether nobody moves an object of class other: it is a fence or a pole in both epochs.
     """
     if not _enough_seen(measures, config):
         return Decision(Change.UNOBSERVED, _unobserved(measures, config), 1.0 - measures.observed_fraction)
@@ -68,7 +71,7 @@ def decide(
         encloses = semantic is Semantic.BUILDING and not roof
         return _enclosing(decision, measures, config) if encloses else decision
     if semantic in (Semantic.MOBILE, Semantic.OTHER):
-        return _mobile(measures, config)
+        return _mobile(measures, config, fixed)
     return _compare(semantic, measures, lod, config, plant)
 
 
@@ -174,8 +177,15 @@ def _enclosing(decision: Decision, measures: Measures, config: DecisionConfig) -
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
 
-def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
+def _mobile(measures: Measures, config: DecisionConfig, fixed: bool) -> Decision:
     rules = config.mobile
+    if measures.iou > rules.same_iou and measures.delta_c >= rules.shift and fixed:
+        reason = (
+            f"The 3D overlap {measures.iou:.2f} exceeds the limit of {rules.same_iou:.2f}, and the object is"
+            f" longer than {rules.longest:g} m or taller than {rules.tallest:g} m: the object stayed. Its"
+            f" centroid moved by {measures.delta_c:.2f} m because the surveys saw different parts of it."
+        )
+        return Decision(Change.UNCHANGED, reason, 1.0)
     if measures.iou > rules.same_iou and measures.delta_c < rules.shift:
         reason = (
             f"The 3D overlap {measures.iou:.2f} exceeds the limit of {rules.same_iou:.2f}, and the"

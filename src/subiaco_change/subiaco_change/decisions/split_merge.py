@@ -20,6 +20,7 @@ from subiaco_change.decisions.object_decision import (
     ObjectChange,
     ObjectRules,
     decide_object,
+    is_fixed,
     is_roof_on_posts,
 )
 from subiaco_change.decisions.plant_decisions import decide_plant
@@ -41,7 +42,7 @@ from subiaco_change.instance_splitting.merged_instances import (
 )
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, switchable
 from subiaco_change.objects.voxel_objects import ObjectInstance, Voxels, height_of, join_voxels
 from subiaco_geo.codes import CHANGED, ONE_EPOCH, Change, Semantic
 
@@ -157,7 +158,7 @@ def _is_apart(change: ObjectChange, rules: ObjectRules) -> bool:
     overlaps = change.measures.iou > least.get(change.semantic, -1.0)
     if not all(sides) or (overlaps and not _remains_little(change, rules)):
         return False
-    return change.semantic is not Semantic.OTHER or all(_is_fixed(parts, rules) for parts in sides)
+    return change.semantic is not Semantic.OTHER or all(is_fixed(parts, rules.decisions) for parts in sides)
 
 
 def _remains_little(change: ObjectChange, rules: ObjectRules) -> bool:
@@ -167,14 +168,6 @@ def _remains_little(change: ObjectChange, rules: ObjectRules) -> bool:
     tops = [height_of(objects) for objects in (change.before, change.after)]
     low = min(tops) < rules.measures.carving.room <= max(tops)
     return low or min(tops) < _REMAINS * max(tops)
-
-
-@switchable("fixed_objects", never)
-def _is_fixed(parts: Sequence[ObjectInstance], rules: ObjectRules) -> bool:
-    """Tell whether an object is longer or taller than movable objects: a fence, a wall or a pole."""
-    voxels, limits = join_voxels(parts), rules.decisions.mobile
-    length = float(np.linalg.norm(np.ptp(voxels.xyz[:, :2], axis=0)))
-    return length > limits.longest or float(voxels.height.max()) > limits.tallest
 
 
 def _owner(piece: Piece, bodies: Sequence[Piece], touch: float) -> int:

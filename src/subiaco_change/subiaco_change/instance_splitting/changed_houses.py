@@ -135,22 +135,15 @@ class _Profile:
 class _Row:
     """A row in both epochs, and what they show together in every slot (S,).
 
-    ``kind``; ``built``: whether both epochs have a house there; ``faced``: whether a wall faces across the
-    row there, or no such wall was seen; ``alone``: the fractions of it that *before* and that *after* alone
-    have, and ``share`` the larger one; ``step``: how far its top rose or fell [m], infinite where one epoch
-    alone has a house.
+    ``kind``; ``built``: whether both epochs have a house there; ``share``: the fraction of it that changed;
+    ``step``: how far its top rose or fell [m], infinite where one epoch alone has a house.
     """
 
     sides: Sequence[_Profile]
     kind: Ints
     built: Mask
-    faced: Mask
-    alone: Sequence[Floats]
+    share: Floats
     step: Floats
-
-    @property
-    def share(self) -> Floats:
-        return np.maximum(*self.alone)
 
 
 def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
@@ -337,8 +330,7 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
     rise = np.maximum(sides[0].step, sides[1].step)
     same = (kind == _UNCHANGED) & (sides[0].known | sides[1].known) & (_smoothed(rise) <= _SAME)
     front = sides[0].front | sides[1].front
-    faced = front | ~front.any()
-    same &= faced
+    same &= front | ~front.any()
     gone = np.isin(kind, _ONLY + _BUT_FOOT)
     step = np.where(gone, np.inf, rise)
     built = (sides[0].top > 0) & (sides[1].top > 0) & ~gone & (kind != _PARTLY)
@@ -346,8 +338,9 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
         np.where(gone | side.set_back(other), side.alone, side.above)
         for side, other in zip(sides, sides[::-1], strict=True)
     )
+    most = np.maximum(first, second)
     tall = np.maximum(sides[0].top, sides[1].top) >= _TALL
-    row = _Row(sides, kind, built, faced, (first, second), step)
+    row = _Row(sides, kind, built, most, step)
     houses: list[_Stretch] = []
     for begin, end in _runs(kind != _UNCHANGED):
         region = np.zeros(len(kind), dtype=bool)
@@ -359,17 +352,13 @@ def _changed_stretches(sides: Sequence[_Profile]) -> list[_Stretch]:
 def _houses_of(row: _Row, changed: Mask, beside: Mask) -> list[_Stretch]:
     """Find the houses in changed slots (S,) of a row, next to slots that they may lie ``beside``.
 
-    What is much lower than a house that both epochs have is its carport, and no house beside it. A house
-    beside one that rose may lack parts of its roof in the later epoch, but shows no rise.
+    What is much lower than a house that both epochs have is its carport, and no house beside it.
     """
     houses: list[_Stretch] = []
     before, after = (side.top for side in row.sides)
     lower, higher = np.minimum(before, after), np.maximum(before, after)
     for begin, end in _runs(_clearly(row.share, changed)):
-        alone = row.alone[int(np.median((after - before)[begin:end]) > 0)]
-        hardly = row.built & row.faced & (alone < _CHANGED)
-        hardly &= row.share < _PART * np.median(row.share[begin:end])
-        alike = (beside | hardly) & (higher >= _LEAST * np.median(lower[begin:end]))
+        alike = beside & (higher >= _LEAST * np.median(lower[begin:end]))
         walls = (
             _is_wall(alike[max(begin - _WIDTH, 0) : begin][::-1], row.step[begin:end]),
             _is_wall(alike[end : end + _WIDTH], row.step[begin:end][::-1]),

@@ -369,8 +369,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "fixed_objects",
         _HERE,
-        "An object of class other that is longer or taller than movable objects was not moved: one was"
-        " removed, and another is new.",
+        "An object of class other that is longer or taller than movable objects was not moved: it stayed, or"
+        " one was removed, and another is new.",
         ("decisions.mobile.longest", "decisions.mobile.tallest"),
     ),
     Rule(
