@@ -676,6 +676,15 @@ def test_scaffolding_that_shares_columns_with_the_wall_behind_it_is_an_object_of
         assert len(split_one_epoch_parts([house], CONFIG)) == 1
 
 
+@pytest.mark.parametrize(("depth", "joined"), [(1.0, {1: 0}), (-1.0, {})], ids=["behind", "before"])
+def test_walls_of_a_house_behind_the_facade_of_the_larger_one_that_replaced_it_are_of_it(depth, joined):
+    """The facade stands in both epochs; before it the walls would be scaffolding."""
+    front, larger = facade(12.0, 4.0), walls(12, 10, 6)
+    after = front.add(voxels(larger[larger[:, 1] > 0.5], occupied_in_other=False))
+    old = voxels(block((2, depth, 0), (10, depth + 0.5, 4)), occupied_in_other=False)
+    assert find_building_extensions([(front, after), (old, NONE)], CONFIG) == joined
+
+
 @pytest.mark.parametrize(("semantic", "kept"), [(Semantic.BUILDING, 0), (Semantic.VEGETATION, 8)])
 def test_what_stood_in_both_epochs_within_the_outline_of_a_new_house_is_of_the_house(semantic, kept):
     """One instance holds the new house and its neighbour 3 m away; a tree stood where its corner is."""

@@ -188,11 +188,12 @@ def _is_extension(
 ) -> bool:
     """Tell whether a part of one epoch alone is an extension of the building that the part touches most.
 
-    ``contact``: number of places of the part that touch the building. ``bare`` tells of places (N, 2)
-    whether that epoch met the ground there.
+    What lies close to a wall within the outline of the building that the other epoch has there is no layer
+    before the wall: a house was replaced by a larger one. ``contact``: number of places of the part that
+    touch the building. ``bare`` tells of places (N, 2) whether that epoch met the ground there.
     """
     body, other = host[epoch], host[1 - epoch]
-    if is_layer(extension.xyz, other):
+    if is_layer(extension.xyz, other) and _share_above(extension, other) < 0.5:
         return False
     if contact < _ADJOINS * len(extension) or _top(extension) < _ROOM:
         return False
