@@ -181,16 +181,13 @@ def _with_remains(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints
     if obj.semantic is not Semantic.BUILDING or len(rest) == 0:
         return labels
     pieces = sorted(group_indices(voxel_clusters(voxels.xyz[rest], config.gap)), key=len)
-    for number, piece in enumerate(pieces, start=1):
-        places = voxels.xyz[rest[piece]]
+    for piece in pieces:
+        places, largest = voxels.xyz[rest[piece]], piece is pieces[-1]
+        least = (_REMAINS if largest else 1.0) * len(piece)
         for part in range(1, int(labels.max()) + 1):
             own = voxels.xyz[labels == part]
-            last = number == len(pieces)
-            if len(own) <= (_REMAINS if last else 1.0) * len(piece):
-                continue
-            if in_outline_of(own[:, :2], places[:, :2], _CELL).mean() < _REMAINS:
-                continue
-            if not (last and is_layer(own, voxels)):
+            held = len(own) > least and in_outline_of(own[:, :2], places[:, :2], _CELL).mean() >= _REMAINS
+            if held and not (largest and is_layer(own, voxels)):
                 labels[rest[piece]] = part
                 break
     return labels

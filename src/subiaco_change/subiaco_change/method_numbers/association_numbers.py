@@ -239,7 +239,8 @@ class OneEpochPartsNumbers(StrictModel):
     remains_inside: float = Field(
         0.5,
         description="Fraction of a piece of an instance that must lie within the outline of a part in one "
-        "epoch alone for the piece to belong to it",
+        "epoch alone for the piece to belong to it; the part must be larger than this fraction of the "
+        "largest piece, and than the whole of any other",
     )
     object_voxels: int = Field(
         50,
