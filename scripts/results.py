@@ -38,8 +38,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "results" / "data"
 #: A machine on which fewer processes than this were waiting, for each core, counts as quiet.
 QUIET_LOAD = 0.5
-_TABLE = re.compile(r"(<!-- table: (?P<name>[\w/-]+) -->\n\n).*?(?=<!-- end -->)", re.DOTALL)
-_SENTENCES = re.compile(r"(<!-- sentences: (?P<name>[\w/-]+) -->\n\n).*?(?=<!-- end -->)", re.DOTALL)
+_TABLE = re.compile(r"(<!-- table: (?P<name>[\w/-]+) -->)\n.*?(?=<!-- end -->)", re.DOTALL)
+_SENTENCES = re.compile(r"(<!-- sentences: (?P<name>[\w/-]+) -->)\n.*?(?=<!-- end -->)", re.DOTALL)
 _LINE = 120
 
 
@@ -59,8 +59,8 @@ def load(name: str, data: Path = DATA) -> dict[str, Any]:
 
 def render(text: str, data: Path = DATA) -> str:
     """Return a page with every table and every sentence as its data file has it."""
-    text = _TABLE.sub(lambda found: found[1] + markdown(load(found["name"], data)) + "\n\n", text)
-    return _SENTENCES.sub(lambda found: found[1] + sentences(load(found["name"], data)) + "\n\n", text)
+    text = _TABLE.sub(lambda found: f"{found[1]}\n\n{markdown(load(found['name'], data))}\n\n", text)
+    return _SENTENCES.sub(lambda found: f"{found[1]}\n\n{sentences(load(found['name'], data))}\n\n", text)
 
 
 def markdown(table: Mapping[str, Any]) -> str:

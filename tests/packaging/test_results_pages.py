@@ -132,6 +132,17 @@ def test_rows_in_json_and_what_is_no_table(results: Any) -> None:
         results.read_output("no table")
 
 
+def test_a_table_is_shown_whether_or_not_a_line_is_empty_below_its_comment(results: Any, tmp_path: Path) -> None:
+    (tmp_path / "page").mkdir()
+    table = {"title": "t", "columns": ["a"], "rows": [[1]], "command": "c", "seeds": "1", "date": "d"}
+    table |= {"revision": "r", "machine": "m", "source": "recorded"}
+    (tmp_path / "page" / "table.json").write_text(json.dumps(table), encoding="utf-8")
+    shown = results.render("<!-- table: page/table -->\n<!-- end -->\n", tmp_path)
+    assert "| a |" in shown
+    assert shown == results.render("<!-- table: page/table -->\n\n<!-- end -->\n", tmp_path)
+    assert shown == results.render(shown, tmp_path)
+
+
 def test_a_sentence_takes_its_figures_from_the_table(results: Any, tmp_path: Path) -> None:
     table = {
         "title": "t",
