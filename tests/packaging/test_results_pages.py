@@ -132,7 +132,7 @@ def test_rows_in_json_and_what_is_no_table(results: Any) -> None:
         results.read_output("no table")
 
 
-def test_a_table_is_shown_whether_or_not_a_line_is_empty_below_its_comment(results: Any, tmp_path: Path) -> None:
+def test_a_table_needs_no_empty_line_below_its_comment(results: Any, tmp_path: Path) -> None:
     (tmp_path / "page").mkdir()
     table = {"title": "t", "columns": ["a"], "rows": [[1]], "command": "c", "seeds": "1", "date": "d"}
     table |= {"revision": "r", "machine": "m", "source": "recorded"}
