@@ -112,6 +112,47 @@ def test_a_rise_below_the_resolution_lies_within_the_stated_bounds(rise):
     assert found.volume.widened(found.resolution).high >= 0.9 * rise * LENGTH * DEPTH
 
 
+def lifted_roof(lift, width=LENGTH):
+    """A house with a flat roof, of which the part up to a width is lifted; the sky above was seen."""
+    roof = sheet((0, 0, TALL), (LENGTH, DEPTH, TALL + CELL)) - [0, 0, CELL / 2]
+    roof[roof[:, 0] < width, 2] += lift
+
+    def empty(xyz):
+        top = TALL + np.where(xyz[:, 0] < width, lift, 0.0)
+        over = ((xyz[:, :2] > 0) & (xyz[:, :2] < (LENGTH, DEPTH))).all(axis=1)
+        return ~over | (xyz[:, 2] > top)
+
+    return epoch([*house(), roof], empty)
+
+
+@pytest.mark.parametrize("lift", [0.3, 0.45, 0.6, 0.7])
+def test_a_roof_that_was_lifted_by_less_than_what_is_carved_changed_its_volume(lift):
+    found = carve(lifted_roof(0.0), lifted_roof(lift), CONFIG)
+    assert found.gained.low == pytest.approx(lift * LENGTH * DEPTH, rel=0.1)
+    assert found.lost.high == 0.0
+    stated = found.volume.widened(found.resolution)
+    assert stated.low <= lift * LENGTH * DEPTH <= stated.high
+    back = carve(lifted_roof(lift), lifted_roof(0.0), CONFIG)
+    assert back.lost.low == pytest.approx(lift * LENGTH * DEPTH, rel=0.1)
+    assert back.gained.high == 0.0
+
+
+def test_a_step_over_less_than_half_of_a_roof_is_no_change_of_its_volume():
+    found = carve(lifted_roof(0.0), lifted_roof(0.45, width=0.4 * LENGTH), CONFIG)
+    assert (found.gained.high, found.lost.high) == (0.0, 0.0)
+
+
+def test_of_a_lifted_roof_of_which_half_was_seen_the_rest_may_have_risen_as_much():
+    seen_half = sheet((0, 0, TALL), (LENGTH, DEPTH / 2, TALL + CELL)) - [0, 0, CELL / 2]
+    before, after = (
+        replace(lifted_roof(lift), voxels=voxels(*house(), np.add(seen_half, [0, 0, lift])))
+        for lift in (0.0, 0.45)
+    )
+    found = carve(before, after, CONFIG)
+    assert found.gained.low == pytest.approx(0.5 * 0.45 * LENGTH * DEPTH, rel=0.2)
+    assert found.gained.high >= 0.8 * 0.45 * LENGTH * DEPTH
+
+
 def test_a_wing_five_metres_deep_of_which_two_walls_were_seen_has_its_volume():
     """Neither its roof nor the house wall behind it was seen: the walls enclose it."""
     found = carve(epoch(house(), PLAIN), extended(), CONFIG)

@@ -642,6 +642,11 @@ class SpaceCarvingNumbers(StrictModel):
         description="Fraction of the columns of a building that adjoin each other, and rose or fell for"
         " certain, from which they tell how the height changed; an area as large as a room is enough",
     )
+    moved_share: float = Field(
+        0.5,
+        description="Fraction of the columns of a roof that must have risen or fallen together, so that its"
+        " volume changed by less than what is carved",
+    )
     roof_normal: float = Field(
         0.7,
         description="Smallest vertical component of the normal of a roof, as a ratio",

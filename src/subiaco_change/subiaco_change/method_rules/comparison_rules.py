@@ -670,6 +670,17 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("measures.carving.capped", "method_numbers.space_carving.fewest_columns"),
     ),
     Rule(
+        "thin_changes",
+        _HERE,
+        "A roof of which most columns rose or fell together by less than what is carved changed its volume.",
+        (
+            "measures.carving.thickness",
+            "measures.carving.known_top",
+            "measures.carving.known_area",
+            "method_numbers.space_carving.moved_share",
+        ),
+    ),
+    Rule(
         "known_tops",
         _HERE,
         "The height rests on the columns whose tops both epochs know, where these are the highest ones.",

@@ -35,6 +35,7 @@ from subiaco_change.objects.carving_config import CarvingConfig
 from subiaco_change.objects.column_volumes import body_tops, tops_of_columns
 from subiaco_change.objects.known_space import Empty
 from subiaco_change.objects.layers import before_walls
+from subiaco_change.objects.thin_changes import adjoining, thin_rise
 from subiaco_change.objects.voxel_objects import Voxels
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
@@ -52,7 +53,7 @@ _LOOKED = NUMBERS.space_carving.observed_share
 _REFUTED = NUMBERS.space_carving.free_share
 _LAYER = NUMBERS.layers.share
 _ROOM_SIDES = NUMBERS.space_carving.room_sides
-_TOUCHING, _PLAN = np.ones((3, 3, 3), dtype=bool), np.ones((3, 3), dtype=bool)
+_TOUCHING = np.ones((3, 3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
 _LEVEL = NUMBERS.space_carving.roof_normal
 _FACES = ndimage.generate_binary_structure(3, 1)
@@ -203,7 +204,26 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
     area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
     rooms = [_unseen_roofs(s, d.cells, frame) for s, d in zip(states, (loss, gain), strict=True)]
     height, confirmed = _height(states, rooms, frame, config), (gain.confirmed, loss.confirmed)
-    return Carved(gain.volume, loss.volume, height, whole, 0.5 * frame.rise * area, confirmed)
+    tops = [_tops_between(state, frame, config) for state in states]
+    gained = _with_thin(gain, tops, area, frame, config)
+    lost = _with_thin(loss, tops[::-1], area, frame, config)
+    return Carved(gained, lost, height, whole, 0.5 * frame.rise * area, confirmed)
+
+
+def _with_thin(
+    found: _Difference,
+    tops: Sequence[tuple[Floats, Floats]],
+    roof: float,
+    frame: _Frame,
+    config: CarvingConfig,
+) -> Interval:
+    """Add to a volume [m3] what the roof rose by that is too thin to be carved; ``roof`` is its area [m2]."""
+    cell = frame.cell**2
+    counted = found.cells.sum(axis=2) * frame.rise
+    thin = frame.rise, (config.thickness + 2) * frame.rise  # carving keeps a rise that fills its blocks
+    enough = config.known_area / cell
+    sure, likely = thin_rise(*tops, counted, thin, roof / cell, enough, config.known_top)
+    return Interval(found.volume.low + cell * sure, found.volume.high + cell * likely)
 
 
 def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
@@ -613,7 +633,7 @@ def _tightly_known(
     (low_b, high_b), (low_a, high_a) = bounds
     least = min(config.known_area / frame.cell**2, _MANY * np.count_nonzero(columns))
     for above, below in ((low_a, high_b), (low_b, high_a)):
-        known |= _large(columns & (above >= below + frame.rise), least)
+        known |= adjoining(columns & (above >= below + frame.rise), least)
     if np.count_nonzero(known) * frame.cell**2 < config.known_area:
         return columns
     return known if all(_as_high(low, known, columns, frame, config) for low, _ in bounds) else columns
@@ -626,13 +646,6 @@ def _as_high(low: Floats, some: Mask, columns: Mask, frame: _Frame, config: Carv
     roofs = (_without_narrow(low, kind, frame, config) for kind in (some, columns))
     reached, all_reached = map(_reached, roofs)
     return reached >= all_reached - frame.rise
-
-
-def _large(columns: Mask, least: float) -> Mask:
-    """Keep of some columns (nx, ny) those that adjoin others, and are as many as ``least`` together."""
-    number, count = ndimage.label(columns, _PLAN)
-    enough = np.bincount(number.ravel(), minlength=count + 1) >= least
-    return np.asarray(columns & enough[number])
 
 
 def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[Floats, Floats]:
