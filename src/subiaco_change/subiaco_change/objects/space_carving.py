@@ -222,7 +222,7 @@ def _with_thin(
     counted = found.cells.sum(axis=2) * frame.rise
     thin = frame.rise, (config.thickness + 2) * frame.rise  # carving keeps a rise that fills its blocks
     enough = config.known_area / cell
-    sure, likely = thin_rise(*tops, counted, thin, roof / cell, enough, config.known_top)
+    sure, likely = thin_rise(tops[0], tops[1], counted, thin, roof / cell, enough, config.known_top)
     return Interval(found.volume.low + cell * sure, found.volume.high + cell * likely)
 
 
