@@ -614,6 +614,33 @@ def test_what_people_do_not_move_was_removed_and_is_new(size, labels):
     assert [change.decision.change for change in told] == labels
 
 
+def all_but(corner, size):
+    """Tell that all places but those in a box were seen free."""
+    return lambda xyz: ((xyz < corner) | (xyz > np.add(corner, size))).any(axis=1)
+
+
+@pytest.mark.parametrize(
+    ("corner", "labels"),
+    [((3.0, 3.0), [Change.INCREASED]), ((14.0, 3.0), [Change.UNOBSERVED, Change.ADDED])],
+    ids=["around the old one", "beside the old one"],
+)
+def test_a_house_that_was_replaced_by_a_larger_one_around_it_grew(corner, labels):
+    small, large = (
+        np.concatenate([walls(*size), block((0, 0, size[2] - 0.5), size)])
+        for size in ((6, 5, 4), (12, 12, 7))
+    )
+    small = obj([(np.add(small, (*corner, 0)), False)])
+    hidden = replace(small.voxels, observed=np.zeros(len(small.voxels), dtype=bool))
+    before = replace(small, semantic=Semantic.BUILDING, voxels=hidden)
+    after = replace(obj([(large, False)]), semantic=Semantic.BUILDING)
+    ground = OpenGround(
+        NO_COLUMNS, NO_COLUMNS, (all_but((*corner, 0), (6, 5, 4)), all_but((0, 0, 0), (12, 12, 7)))
+    )
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig(), ground=ground)
+    told = part_hardly_overlapping([decide_object((before,), (after,), Semantic.BUILDING, rules)], rules)
+    assert [change.decision.change for change in told] == labels
+
+
 def test_wires_of_which_each_survey_saw_another_part_stayed():
     both = block((8.0, 0, 6.0), (30.0, 0.5, 6.5)), True
     ends = [(np.add(block((0, 0, 6.0), (8.0, 0.5, 6.5)), (begin, 0, 0)), False) for begin in (0.0, 30.0)]

@@ -26,6 +26,7 @@ from subiaco_change.decisions.object_decision import (
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.vegetation_null import no_null
+from subiaco_change.geometry import in_outline_of
 from subiaco_change.instance_splitting.building_extensions import (
     find_building_extensions,
     gaps_to_host,
@@ -246,9 +247,25 @@ def part_hardly_overlapping(changes: Sequence[ObjectChange], rules: ObjectRules)
                 decide_object(change.before, (), change.semantic, rules),
                 decide_object((), change.after, change.semantic, rules),
             )
-            parts = list(apart) if any(p.decision.change in CHANGED for p in apart) else parts
+            replaced = _is_reshaped(change) and not _remains_little(change, rules) and _encloses(apart, rules)
+            changed = any(p.decision.change in CHANGED for p in apart)
+            parts = list(apart) if changed and not replaced else parts
         told.extend(parts)
     return told
+
+
+def _encloses(apart: Sequence[ObjectChange], rules: ObjectRules) -> bool:
+    """Tell whether a house stands around the place of a smaller one, which no beam of its survey reached.
+
+    ``apart``: the two, as objects of one epoch each. The walls of a house that was replaced by a larger one
+    lie inside the new house.
+    """
+    hidden = next((p for p in apart if p.decision.change is Change.UNOBSERVED), None)
+    if hidden is None or hidden.semantic is not Semantic.BUILDING or not _is_hardly_observed(hidden, rules):
+        return False
+    other = next(p for p in apart if p is not hidden)
+    one, around = (join_voxels((*p.before, *p.after)) for p in (hidden, other))
+    return bool(in_outline_of(around.xyz[:, :2], one.xyz[:, :2]).mean() >= _WITHIN)
 
 
 @switchable("multi_body_matches", first_argument)

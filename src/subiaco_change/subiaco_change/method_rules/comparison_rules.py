@@ -358,11 +358,14 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         "hardly_overlapping",
         _HERE,
         "Objects of a match that overlap too little to be compared are decided apart, and so are a house and"
-        " the fence or container that is in its place in the other epoch.",
+        " the fence or container that is in its place in the other epoch. A house around the place of a"
+        " smaller one, which it hides, is no house of its own.",
         (
             "decisions.building.min_iou",
             "decisions.vegetation.min_iou",
             "measures.carving.room",
+            "method_numbers.split_merge.inside_share",
+            "method_numbers.split_merge.least_observed",
             "method_numbers.split_merge.remains",
         ),
     ),
